@@ -8,7 +8,7 @@ from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.hardware.delay.measure import actuator_slot, measure_loop
 from vergence.hardware.delay.samples import SampleCollector
-from vergence.hardware.emulator.world import MotorOptions
+from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.models.head_file import load_head
 
 TURRETS = load_head("turrets")
@@ -47,7 +47,7 @@ def measured(monkeypatch, motors, actuator):
 
 @pytest.mark.slow
 def test_a_loop_is_found_in_the_motion_of_one_eye(monkeypatch):
-    motors = MotorOptions(command_latency_s=0.01, speed_gain=0.9, backlash_rad=0.004)
+    motors = EmulatorConfig(command_latency_s=0.01, speed_gain=0.9, backlash_rad=0.004)
     (eye,) = measured(monkeypatch, motors, None).eyes
     assert eye.actuator == "left_pan"
     assert eye.image_fit.least_latency_s == pytest.approx(0.07, abs=2e-3)
@@ -58,7 +58,7 @@ def test_a_loop_is_found_in_the_motion_of_one_eye(monkeypatch):
 
 @pytest.mark.nightly
 def test_friction_is_not_taken_for_play_or_latency(monkeypatch):
-    motors = MotorOptions(friction=0.05, gravity=0.1, command_latency_s=0.01)
+    motors = EmulatorConfig(friction=0.05, gravity=0.1, command_latency_s=0.01)
     found = measured(monkeypatch, motors, "left_tilt")
     (eye,) = found.eyes
     assert eye.image_fit.least_latency_s == pytest.approx(0.07, abs=1e-3)

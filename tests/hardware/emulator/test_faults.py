@@ -15,8 +15,9 @@ import pytest
 from tests.commands.test_failures import call
 from tests.naming import named
 from vergence.errors import HardwareError, HeadFileError
+from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.faults import CameraFaults, load_faults, parse_fault
-from vergence.hardware.emulator.server import EmulatedCameras, StreamConfig, make_stream_server
+from vergence.hardware.emulator.server import EmulatedCameras, make_stream_server
 
 IDS = (1, 2, 3, 4)
 
@@ -133,7 +134,7 @@ class Rig:
 
     def __init__(self):
         self.faults, self.over, self.drawn = [], False, 0
-        self.cameras = EmulatedCameras(self, self, StreamConfig(frame_rate_hz=200.0, latency_s=0.0))
+        self.cameras = EmulatedCameras(self, self, EmulatorConfig(), 200.0, 0.0)
         self.server = make_stream_server(self.cameras, 0)
         self.url = f"http://127.0.0.1:{self.server.server_address[1]}"
         serve = partial(self.server.serve_forever, poll_interval=0.01)

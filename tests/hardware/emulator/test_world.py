@@ -29,7 +29,7 @@ from vergence.hardware.emulator.server import (
     parse_sized_board,
     tilted_board_pose,
 )
-from vergence.hardware.emulator.world import MotorOptions, TimedAnswer, World, apply_line_faults
+from vergence.hardware.emulator.world import EmulatorConfig, TimedAnswer, World, apply_line_faults
 from vergence.models.head_file import head_to_toml
 from vergence.models.toml_table import toml_text
 
@@ -135,7 +135,7 @@ def test_a_tied_heads_joints_are_its_actuators():
 
 
 def test_a_servo_model_moves_and_answers_as_itself():
-    servo = World(load_head("turrets"), POINT, MotorOptions(servo="XL330")).servos["left_pan"]
+    servo = World(load_head("turrets"), POINT, EmulatorConfig(servo="XL330")).servos["left_pan"]
     assert table.MODELS[servo.get(table.MODEL_NUMBER)] == "XL330-M288"
     assert servo.get(table.VELOCITY_LIMIT) * 0.229 == pytest.approx(103.0, abs=0.229)  # rev/min
     assert servo.acceleration == 144.0
@@ -342,7 +342,7 @@ def turn(world, ticks, now_s):
 
 
 def made(**motors):
-    world = World(HEAD, POINT, MotorOptions(**motors))
+    world = World(HEAD, POINT, EmulatorConfig(**motors))
     world.advance_to(0.0)
     for servo in world.line.servos:
         servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)

@@ -26,23 +26,17 @@ from vergence.models.toml_table import Rule, Table
 
 Place = Literal["line", "servo", "cable", "camera"]
 
-BOTH_EYES: Final = "both"
-_DURATION_RULE: Final[Rule] = (lambda x: 0.0 < x <= 3600.0, "seconds, 0 to 3600")
-_START_RULE: Final[Rule] = (
-    lambda x: 0.0 <= x <= 3600.0,
-    "seconds since torque was switched on, 0 to 3600",
-)
-_PROBABILITY_RULE: Final[Rule] = (lambda x: 0.0 < x <= 1.0, "a probability, more than 0 to 1")
-_DELAY_RULE: Final[Rule] = (lambda x: 0.0 < x <= 10.0, "seconds, 0 to 10")
-_VOLTAGE_RULE: Final[Rule] = (lambda x: 0.0 <= x <= 60.0, "V, 0 to 60")
-_TEMPERATURE_RULE: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "degrees Celsius, 0 to 255")
-_LOAD_RULE: Final[Rule] = (
-    lambda x: -100.0 <= x <= 100.0,
-    "percent of the greatest load, -100 to 100",
-)
-
-
-_SCALE_RULE: Final[Rule] = (lambda x: 0.1 <= abs(x) <= 10.0, "a ratio, 0.1 to 10 in size")
+_BOTH_EYES: Final = "both"
+_RULES: Final[dict[str, Rule]] = {
+    "at_s": (lambda x: 0.0 <= x <= 3600.0, "seconds since torque was switched on, 0 to 3600"),
+    "for_s": (lambda x: 0.0 < x <= 3600.0, "seconds, 0 to 3600"),
+    "probability": (lambda x: 0.0 < x <= 1.0, "a probability, more than 0 to 1"),
+}
+_DELAY: Final[Rule] = (lambda x: 0.0 < x <= 10.0, "seconds, 0 to 10")
+_VOLTAGE: Final[Rule] = (lambda x: 0.0 <= x <= 60.0, "V, 0 to 60")
+_TEMPERATURE: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "degrees Celsius, 0 to 255")
+_LOAD: Final[Rule] = (lambda x: -100.0 <= x <= 100.0, "percent of the greatest load, -100 to 100")
+_SCALE: Final[Rule] = (lambda x: 0.1 <= abs(x) <= 10.0, "a ratio, 0.1 to 10 in size")
 
 
 class _Kind(NamedTuple):
@@ -56,44 +50,39 @@ class _Kind(NamedTuple):
     """Default of its value; None if a value has to be given."""
 
 
-_LINE_FAULT_KEYS: Final = ("ids", "for_s", "probability")
-_SERVO_FAULT_KEYS: Final = ("ids", "for_s")
-_CAMERA_FAULT_KEYS: Final = ("eye", "for_s")
+_LINE: Final = _Kind("line", ("ids", "for_s", "probability"))
+_SERVO: Final = _Kind("servo", ("ids", "for_s"))
+_CAMERA: Final = _Kind("camera", ("eye", "for_s"))
+_IMAGE: Final = _Kind("camera", ("eye", "for_s", "probability"))
+_SERVO_VALUE_KEYS: Final = ("ids", "for_s", "value")
 
 _KINDS: Final = {
-    "bad-crc": _Kind("line", _LINE_FAULT_KEYS),
-    "short": _Kind("line", _LINE_FAULT_KEYS),
-    "late": _Kind("line", (*_LINE_FAULT_KEYS, "value"), _DELAY_RULE, 0.012),
-    "lost": _Kind("line", _LINE_FAULT_KEYS),
-    "doubled": _Kind("line", _LINE_FAULT_KEYS),
+    "bad-crc": _LINE,
+    "short": _LINE,
+    "late": _Kind("line", (*_LINE.keys, "value"), _DELAY, 0.012),
+    "lost": _LINE,
+    "doubled": _LINE,
     "overload": _Kind("servo", ("ids",)),
     "reboot": _Kind("servo", ("ids",)),
-    "voltage": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _VOLTAGE_RULE),
-    "temperature": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _TEMPERATURE_RULE),
-    "load": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _LOAD_RULE),
-    "silent": _Kind("servo", _SERVO_FAULT_KEYS),
-    "frozen": _Kind("servo", _SERVO_FAULT_KEYS),
-    "stuck": _Kind("servo", _SERVO_FAULT_KEYS),
-    "wrong-way": _Kind("servo", _SERVO_FAULT_KEYS),
-    "blind": _Kind("servo", _SERVO_FAULT_KEYS),
-    "blind-told": _Kind("servo", _SERVO_FAULT_KEYS),
-    "inverted": _Kind("servo", _SERVO_FAULT_KEYS),
-    "goal-scale": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _SCALE_RULE),
-    "speed-scale": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _SCALE_RULE),
+    "voltage": _Kind("servo", _SERVO_VALUE_KEYS, _VOLTAGE),
+    "temperature": _Kind("servo", _SERVO_VALUE_KEYS, _TEMPERATURE),
+    "load": _Kind("servo", _SERVO_VALUE_KEYS, _LOAD),
+    **dict.fromkeys(
+        ("silent", "frozen", "stuck", "wrong-way", "blind", "blind-told", "inverted"), _SERVO
+    ),
+    "goal-scale": _Kind("servo", _SERVO_VALUE_KEYS, _SCALE),
+    "speed-scale": _Kind("servo", _SERVO_VALUE_KEYS, _SCALE),
     "unplug": _Kind("cable", ()),
 }
 """Faults of servos, line and cable by name."""
 
 _CAMERA_KINDS: Final = {
-    "frozen": _Kind("camera", _CAMERA_FAULT_KEYS),
-    "torn": _Kind("camera", (*_CAMERA_FAULT_KEYS, "probability")),
-    "late": _Kind("camera", (*_CAMERA_FAULT_KEYS, "value"), _DELAY_RULE, 0.1),
-    "dropped": _Kind("camera", (*_CAMERA_FAULT_KEYS, "probability")),
-    "ended": _Kind("camera", _CAMERA_FAULT_KEYS),
-    "stalled": _Kind("camera", _CAMERA_FAULT_KEYS),
-    "mirrored": _Kind("camera", _CAMERA_FAULT_KEYS),
-    "upside-down": _Kind("camera", _CAMERA_FAULT_KEYS),
-    "out-of-step": _Kind("camera", ("for_s", "value"), _DELAY_RULE, 0.0167),
+    "frozen": _CAMERA,
+    "torn": _IMAGE,
+    "late": _Kind("camera", (*_CAMERA.keys, "value"), _DELAY, 0.1),
+    "dropped": _IMAGE,
+    **dict.fromkeys(("ended", "stalled", "mirrored", "upside-down"), _CAMERA),
+    "out-of-step": _Kind("camera", ("for_s", "value"), _DELAY, 0.0167),
 }
 """Faults of cameras by name."""
 
@@ -129,7 +118,7 @@ class Fault:
     """Part that it affects."""
     ids: tuple[int, ...] = ()
     """Ids of the affected servos."""
-    eye: str = BOTH_EYES
+    eye: str = _BOTH_EYES
     """Affected camera: "left", "right" or "both"."""
     probability: float = 1.0
     """Probability to affect each answer or image."""
@@ -142,27 +131,25 @@ class Fault:
 
     def affects(self, eye: int) -> bool:
         """True if this fault of a camera affects an eye, 0 for left."""
-        return self.eye in (BOTH_EYES, EYE_NAMES[eye])
+        return self.eye in (_BOTH_EYES, EYE_NAMES[eye])
 
     def to_plain(self) -> dict[str, Any]:
         """Plain values for `parse_fault`, without servos and times; for faults of cameras."""
-        kind = _CAMERA_KINDS[self.what]
-        plain = {"eye": self.eye, "probability": self.probability, "value": self.value}
-        return {"what": self.what, **{key: plain[key] for key in kind.keys if key in plain}}
+        keys = [key for key in _CAMERA_KINDS[self.what].keys if key != "for_s"]
+        return {"what": self.what, **{key: getattr(self, key) for key in keys}}
 
 
 def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, timed: bool) -> Fault:
-    """Make a fault from plain values.
+    """Make a fault from plain values, from JSON or TOML.
 
     Args:
-        values: a mapping, from JSON or TOML.
+        values: a mapping.
         ids: ids of the existing servos; a fault that names none affects all of them.
         path: name of the fault in messages.
         timed: True if it gives the time of its beginning, `at_s`.
 
     Raises:
-        HeadFileError: a key or value is unknown, missing or impossible; the message lists the
-            possible ones.
+        HeadFileError: a key or value is unknown, missing or impossible.
     """
     table = Table(values, path)
     what = table.choice("what", FAULT_NAMES)
@@ -175,15 +162,13 @@ def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, ti
         if name not in keys:
             expected = f"a key that {what} takes: {', '.join(('what', *keys))}"
             raise HeadFileError(table.key(name), table.peek(name), expected)
-    given: dict[str, Any] = {}
-    if timed:
-        given["at_s"] = table.number("at_s", _START_RULE)
-    if table.has("for_s"):
-        given["for_s"] = table.number("for_s", _DURATION_RULE)
-    if table.has("probability"):
-        given["probability"] = table.number("probability", _PROBABILITY_RULE)
+    given: dict[str, Any] = {
+        name: table.number(name, rule)
+        for name, rule in _RULES.items()
+        if table.has(name) or (timed and name == "at_s")
+    }
     if has_eye:
-        given["eye"] = table.choice("eye", (*EYE_NAMES, BOTH_EYES))
+        given["eye"] = table.choice("eye", (*EYE_NAMES, _BOTH_EYES))
     if kind.rule is not None:
         needed = kind.default is None or table.has("value")
         given["value"] = table.number("value", kind.rule) if needed else kind.default
@@ -193,17 +178,12 @@ def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, ti
 
 
 def load_faults(path: Path, ids: Collection[int]) -> tuple[Fault, ...]:
-    """Read a script: a TOML file with a table [[fault]] for each fault, which also gives `at_s`.
-
-    Raises:
-        HeadFileError: the file is invalid, or a key of it is unknown, missing or impossible.
-    """
+    """Read a script: a TOML file with a table [[fault]] for each fault, which also gives `at_s`."""
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
-        raise UnreadableFileError(
-            str(path), error.strerror or str(error), "a TOML file of faults"
-        ) from error
+        said = error.strerror or str(error)
+        raise UnreadableFileError(str(path), said, "a TOML file of faults") from error
     except (ValueError, RecursionError) as error:  # not UTF-8, too deep, a number too long
         raise UnreadableFileError(str(path), f"no TOML ({error})", "a TOML file") from error
     try:
@@ -225,8 +205,7 @@ def _ids(table: Table, ids: Collection[int]) -> tuple[int, ...]:
     expected = f"a list of ids of servos, of {', '.join(map(str, ids))}"
     named = table.take("ids", expected)
     whole = isinstance(named, list) and all(type(one) is int and one in ids for one in named)
-    if not whole or not named:
-        raise HeadFileError(table.key("ids"), named, expected)
+    table.expect(whole and named, "ids", named, expected)
     return tuple(named)
 
 
@@ -240,17 +219,10 @@ _FAULT_REGISTERS: Final = {
 
 
 class ActiveFaults:
-    """The active faults, and those that a script will begin.
-
-    Args:
-        servos: the servos of the head.
-
-    Attributes:
-        unplugged: True once the line's cable has been pulled.
-    """
+    """The active faults, and those that a script will begin."""
 
     def __init__(self, servos: Iterable[EmulatedServo]) -> None:
-        self.unplugged = False
+        self.unplugged = False  # True once the line's cable has been pulled
         self._servos = tuple(servos)
         self._healthy = [
             {name: servo.get(register) for name, (register, _) in _FAULT_REGISTERS.items()}
@@ -289,10 +261,10 @@ class ActiveFaults:
             return
         if fault.what in ("overload", "reboot"):
             for servo in self._servos:
-                if servo.id in fault.ids:
-                    servo.set_hardware_errors(
-                        LOAD_ERROR
-                    ) if fault.what == "overload" else servo.reboot()
+                if servo.id in fault.ids and fault.what == "overload":
+                    servo.set_hardware_errors(LOAD_ERROR)
+                elif servo.id in fault.ids:
+                    servo.reboot()
             return
         self._on.append((now_s + fault.for_s, fault))
         self._apply()
@@ -343,11 +315,7 @@ def _tell(fault: Fault, what: str) -> None:
 
 
 class CameraFaults:
-    """Applies the active faults of the cameras to their images and times.
-
-    Args:
-        rng: draws the images that a fault with a probability affects.
-    """
+    """Applies the active faults of the cameras to their images and times."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng

@@ -1,6 +1,7 @@
-"""A server of an emulated head's world: the servos' serial line and TCP connections, in one thread.
+"""Servers of an emulated head: the servos' serial line, its world over TCP, and image streams.
 
-A client sends one JSON object per line and receives one. The object's only key is
+One thread serves line and world. A client of the world sends one JSON object per line and receives
+one. The object's only key is
 
     state                       ground truth
     expose                      ground truth and camera faults, at the exposure of an image
@@ -13,6 +14,11 @@ A client sends one JSON object per line and receives one. The object's only key 
     record                      see `World.motion_since_last_call`
 
 Times are those of the monotonic clock.
+
+The views of both eyes are drawn, and streamed as MJPEG over HTTP, by a process of its own, so that
+drawing does not delay the answers of the servos. Both cameras expose at a constant rate, on their
+own clock; the right one may be late by a constant time, as with two unsynchronised cameras. An
+image is sent a latency and a random jitter after mid-exposure, in the order of exposure.
 """
 
 import heapq
@@ -28,7 +34,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, fields
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from math import inf
 from typing import Any, Final
@@ -42,12 +47,11 @@ from vergence.envs.plants.cameras import BoardImageRenderer, RoomImageRenderer
 from vergence.envs.reading import Image
 from vergence.errors import ConfigurationError, HardwareError, HeadFileError
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.control_table import BAUD_RATES
 from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.faults import CameraFaults, load_faults, parse_fault
-from vergence.hardware.emulator.world import MotorOptions, World
+from vergence.hardware.emulator.world import World
 from vergence.models.head import HeadModel
 from vergence.models.head_file import absolute_source, head_to_toml, load_head, parse_head
 from vergence.models.parts import EYE_NAMES, FloatArray
@@ -56,16 +60,26 @@ from vergence.models.toml_table import toml_text
 from vergence.vision.objects.scenes import Scene, parse_scene
 from vergence.vision.targets import PlanarTarget, TagFamily, make_planar_target, parse_target
 
+_LOG: Final = logging.getLogger(__name__)
 _MAX_READ_BYTES: Final = 4096
-"""Most bytes of one read (numerical)."""
+"""Most bytes of one read of the line (numerical)."""
+_BITS_PER_BYTE: Final = 10
+"""Bits of a byte on the line, with start and stop bit (physical: 8N1 serial)."""
+_MAX_SEND_WAIT_S: Final = 0.005
+"""Answers due sooner than this are sent before the next request is served, s (chosen)."""
+_KEPT_EXPOSURES: Final = 1024
+"""Number of exposure times that are kept (numerical)."""
+_REQUEST_ERRORS: Final = (
+    ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError,
+    ConfigurationError,
+)  # fmt: skip
+"""Errors that an invalid request raises."""
 
 
 class PseudoTerminal:
-    """The servos' end of a serial line.
+    """The servos' end of a serial line, with a queue of timed answers.
 
-    Attributes:
-        fd: the file descriptor to read from; -1 once the cable is pulled.
-        port: the device file of the other end.
+    `fd` is to be read from, -1 once the cable is pulled; `port` is the other end's device file.
 
     Raises:
         ConfigurationError: the system has no pseudo-terminals.
@@ -84,19 +98,8 @@ class PseudoTerminal:
         self._due: list[tuple[float, int, bytes]] = []
         self._count = 0
 
-    @property
-    def baud_rate(self) -> int:
-        """Baud rate that the other end has set, see `baud_rate_of`."""
-        return baud_rate_of(self.fd)
-
-    def read(self) -> bytes:
-        """Read the bytes that have arrived."""
-        return os.read(self.fd, _MAX_READ_BYTES)
-
     def send(self, data: bytes, at_s: float) -> None:
         """Queue bytes to be sent at a time, see `flush`."""
-        if self.fd < 0:
-            return
         self._count += 1  # keeps the order of bytes with equal times
         heapq.heappush(self._due, (at_s, self._count, data))
 
@@ -111,12 +114,11 @@ class PseudoTerminal:
             os.write(self.fd, heapq.heappop(self._due)[2])
 
     def unplug(self) -> None:
-        """Pull the cable: the other end receives nothing more; a second call does nothing."""
+        """Pull the cable: the other end receives nothing more."""
         self._due.clear()
-        if self.fd >= 0:
-            os.close(self.fd)
-            os.close(self._other)
-            self.fd = self._other = -1
+        os.close(self.fd)
+        os.close(self._other)
+        self.fd = -1
 
 
 def baud_rate_of(fd: int) -> int:
@@ -124,49 +126,20 @@ def baud_rate_of(fd: int) -> int:
     import termios
 
     speed = termios.tcgetattr(fd)[5]
-    return next((rate for rate in BAUD_RATES if getattr(termios, f"B{rate}", -1) == speed), 0)
-
-
-_LOG: Final = logging.getLogger(__name__)
-_BITS_PER_BYTE: Final = 10
-"""Bits of a byte on the line, with start and stop bit (physical: 8N1 serial)."""
-_MAX_SEND_WAIT_S: Final = 0.005
-"""Answers due sooner than this are sent before the next request is served, s (chosen)."""
-_KEPT_EXPOSURES: Final = 1024
-"""Number of exposure times that are kept (numerical)."""
-_REQUEST_ERRORS: Final = (
-    ValueError,
-    TypeError,
-    KeyError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    ConfigurationError,
-)
-"""Errors that an invalid request raises."""
+    return next((one for one in table.BAUD_RATES if getattr(termios, f"B{one}", -1) == speed), 0)
 
 
 class EmulatorServer:
     """Serves an emulated head: servos on a pseudo-terminal, and its world over TCP.
 
-    One thread does both; `serve` blocks.
-
-    Args:
-        world: the world to serve.
-        clock: the monotonic clock, s.
-
     Attributes:
         port: the device file of the line's other end.
         address: HOST:PORT for connections.
         streams: URL of the streams, set by the cameras' process; empty until then.
-
-    Raises:
-        ConfigurationError: the system has no pseudo-terminals.
     """
 
     def __init__(self, world: World, clock: Callable[[], float] = time.monotonic) -> None:
-        self._world = world
-        self._clock = clock
+        self._world, self._clock = world, clock
         self._parser = PacketParser()
         self._terminal = PseudoTerminal()
         self.port = self._terminal.port
@@ -202,9 +175,10 @@ class EmulatorServer:
         self._terminal.flush(self._clock())
 
     def _answer_line(self) -> None:
-        if self._terminal.fd < 0:  # unplugged by a request of the same round
+        fd = self._terminal.fd
+        if fd < 0:  # unplugged by a request of the same round
             return
-        data, rate = self._terminal.read(), self._terminal.baud_rate
+        data, rate = os.read(fd, _MAX_READ_BYTES), baud_rate_of(fd)
         for packet in self._parser.feed(data):
             now_s = self._clock()
             sent = self._world.answer(packet, now_s, rate)
@@ -217,13 +191,26 @@ class EmulatorServer:
         connection, (host, port) = self._listener.accept()
         _LOG.info("client connected from %s:%d", host, port)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        lines = _Lines(connection, self._reply, self._selector)
-        self._selector.register(connection, selectors.EVENT_READ, lines.read)
+        rest = b""
+
+        def answer_lines() -> None:
+            nonlocal rest
+            try:
+                data = connection.recv(65536)
+                *lines, rest = (rest + data).split(b"\n")
+                for line in lines:
+                    connection.sendall(self._reply(line))
+            except OSError:
+                data = b""
+            if not data:
+                self._selector.unregister(connection)
+                connection.close()
+
+        self._selector.register(connection, selectors.EVENT_READ, answer_lines)
 
     def _reply(self, line: bytes) -> bytes:
         try:
-            request = json.loads(line)
-            answer = self._do(request)
+            answer = self._do(json.loads(line))
         except HeadFileError as error:
             answer = {"error": str(error)}
         except _REQUEST_ERRORS as error:
@@ -263,7 +250,7 @@ class EmulatorServer:
         return {}
 
     def _unplug(self) -> None:
-        """Pull the cable: the line's other end receives nothing more."""
+        """Pull the cable of the line; a second call does nothing."""
         if self._terminal.fd >= 0:
             self._selector.unregister(self._terminal.fd)
             self._terminal.unplug()
@@ -277,99 +264,12 @@ class EmulatorServer:
         self._selector.close()
 
 
-class _Lines:
-    """Splits the data of one connection into requests, a line each."""
-
-    def __init__(
-        self,
-        connection: socket.socket,
-        reply: Callable[[bytes], bytes],
-        selector: selectors.BaseSelector,
-    ) -> None:
-        self._connection = connection
-        self._reply = reply
-        self._selector = selector
-        self._rest = b""
-
-    def read(self) -> None:
-        try:
-            data = self._connection.recv(65536)
-            *lines, self._rest = (self._rest + data).split(b"\n")
-            for line in lines:
-                self._connection.sendall(self._reply(line))
-        except OSError:
-            data = b""
-        if not data:
-            self._selector.unregister(self._connection)
-            self._connection.close()
-
-
-_BOARD_OFFSET_M: Final = (0.03, -0.02)
-"""Offset of its centre from the line straight ahead, right and down, m (chosen)."""
-_TILT_RAD: Final = (0.25, -0.3, 0.05)
-"""Rotation vector away from facing the head, rad: a tilted board makes focal lengths observable
-(chosen)."""
-
-
-def parse_sized_board(text: str) -> PlanarTarget:
-    """Parse the description of a board of known size.
-
-    Args:
-        text: the description, see `parse_target`.
-
-    Raises:
-        ConfigurationError: it does not describe one board, or gives no size.
-    """
-    target = parse_target(text)
-    if isinstance(target, TagFamily) or not target.size_known:
-        raise ConfigurationError(
-            "board: expected one board of a known size, such as checkerboard:9x6:24 (inner "
-            f"corners, square in mm), got {text}"
-        )
-    return target
-
-
-def tilted_board_pose(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
-    """Pose of a board ahead of a head at rest, slightly tilted.
-
-    Args:
-        head: the head that looks at the board.
-        target: the board.
-        distance_m: distance of its centre from N's origin along N's z axis, m.
-
-    Returns:
-        (4, 4) pose T_0_T of the board in the fixed frame 0, m.
-    """
-    T_N_T = np.eye(4)
-    T_N_T[:3, :3] = Rotation.from_rotvec(_TILT_RAD).as_matrix()
-    middle = T_N_T[:3, :2] @ target.corners_m.mean(axis=0)
-    T_N_T[:3, 3] = np.array([*_BOARD_OFFSET_M, distance_m]) - middle
-    return np.asarray(head.base_pose(head.rest()) @ T_N_T)
-
-
 _JPEG_QUALITY: Final = 92
 """JPEG quality, as for webcams (chosen)."""
 _NOISE_EDGE_PX: Final = 16
 """Edge of the square of noise in a corner of every image, px: two JPEG blocks (chosen)."""
 _NOISE_AMPLITUDE: Final = 32
 """Amplitude of this noise, grey levels: enough to survive JPEG (chosen)."""
-_BOUNDARY: Final = b"frame"
-
-
-@dataclass(frozen=True, kw_only=True)
-class StreamConfig:
-    """Timing and noise of the cameras."""
-
-    frame_rate_hz: float
-    """Frame rate, Hz."""
-    latency_s: float
-    """Latency from mid-exposure to the sending of the image, s."""
-    jitter_s: float = 0.0
-    """Greatest random delay of an image beyond the latency, s; uniform."""
-    right_late_s: float = 0.0
-    """Delay of the right camera's exposures after the left one's, s."""
-    seed: int = 0
-    """Random seed of image noise, jitter and camera faults."""
 
 
 class _Stream:
@@ -377,37 +277,29 @@ class _Stream:
 
     def __init__(self) -> None:
         self._new = threading.Condition()
-        self._jpeg, self._count = b"", 0
+        self._jpeg, self.count = b"", 0
         self._exposure_s = 0.0
-        self._ended = False
+        self.ended = False
 
     def publish(self, jpeg: bytes, exposure_s: float) -> None:
         """Publish an image; one that a later exposure has overtaken is dropped."""
         with self._new:
             if exposure_s >= self._exposure_s:
-                self._jpeg, self._count = jpeg, self._count + 1
+                self._jpeg, self.count = jpeg, self.count + 1
                 self._exposure_s = exposure_s
                 self._new.notify_all()
 
     def end(self, ended: bool) -> None:
         """Close the stream to all readers, or allow new ones again."""
         with self._new:
-            self._ended = ended
+            self.ended = ended
             self._new.notify_all()
 
     def next(self, seen: int) -> tuple[bytes, int] | None:
         """Wait for an image after number `seen`; return it with its number, None at the end."""
         with self._new:
-            self._new.wait_for(lambda: self._ended or self._count != seen)
-            return None if self._ended else (self._jpeg, self._count)
-
-    @property
-    def has_ended(self) -> bool:
-        return self._ended
-
-    @property
-    def count(self) -> int:
-        return self._count
+            self._new.wait_for(lambda: self.ended or self.count != seen)
+            return None if self.ended else (self._jpeg, self.count)
 
 
 class EmulatedCameras:
@@ -416,22 +308,22 @@ class EmulatedCameras:
     Args:
         world: source of the joint angles and the target position.
         views: renderer of the images.
-        config: timing and noise of the cameras.
-        clock: a monotonic clock, s.
+        config: gives the jitter, the right camera's delay and the seed.
+        frame_rate_hz: frame rate, Hz.
+        latency_s: latency from mid-exposure to the sending of the image, s.
     """
 
     def __init__(
         self,
         world: WorldClient,
         views: BoardImageRenderer,
-        config: StreamConfig,
-        clock: Callable[[], float] = time.monotonic,
+        config: EmulatorConfig,
+        frame_rate_hz: float,
+        latency_s: float,
     ) -> None:
         self.streams = (_Stream(), _Stream())
-        self._world = world
-        self._views = views
-        self._config = config
-        self._clock = clock
+        self._world, self._views, self._config = world, views, config
+        self._frame_rate_hz, self._latency_s = frame_rate_hz, latency_s
         self._rng = np.random.default_rng(config.seed)
         self._faults = CameraFaults(np.random.default_rng(config.seed))
 
@@ -455,24 +347,24 @@ class EmulatedCameras:
 
     def run(self) -> None:
         """Expose, draw and publish until the world ends."""
-        config, period_s = self._config, 1.0 / self._config.frame_rate_hz
-        begun_s, sent_s = self._clock(), [0.0, 0.0]
+        config, period_s = self._config, 1.0 / self._frame_rate_hz
+        begun_s, sent_s = time.monotonic(), [0.0, 0.0]
         frame = 0
         while True:
             right_late_s = config.right_late_s + self._faults.right_exposure_delay_s % period_s
             together = right_late_s == 0.0
             for eye in (0,) if together else (0, 1):
                 due_s = begun_s + frame * period_s + eye * right_late_s
-                time.sleep(max(due_s - self._clock(), 0.0))
-                exposed_s = self._clock()
+                time.sleep(max(due_s - time.monotonic(), 0.0))
+                exposed_s = time.monotonic()
                 images = self.draw()
                 for one in (0, 1) if together else (eye,):
-                    late_s = config.latency_s + config.jitter_s * float(self._rng.random())
+                    late_s = self._latency_s + config.jitter_s * float(self._rng.random())
                     late_s += self._faults.send_delay_s(one)
                     sent_s[one] = max(sent_s[one], exposed_s + late_s)
                     self._send(one, images[one], exposed_s, sent_s[one])
             # frames whose time has passed are skipped
-            frame = max(frame + 1, int((self._clock() - begun_s) * config.frame_rate_hz))
+            frame = max(frame + 1, int((time.monotonic() - begun_s) * self._frame_rate_hz))
 
     def _send(self, eye: int, new: Image, exposed_s: float, at_s: float) -> None:
         """Publish an image exposed at one time at another, after applying the faults."""
@@ -481,15 +373,12 @@ class EmulatedCameras:
         image = self._faults.apply_to_image(eye, new)
         if image is None:
             return
-        jpeg = _jpeg(image)
-        delay_s = max(at_s - self._clock(), 0.0)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+        jpeg = cv2.imencode(".jpg", image, quality)[1].tobytes()
+        delay_s = max(at_s - time.monotonic(), 0.0)
         timer = threading.Timer(delay_s, stream.publish, (jpeg, exposed_s))
         timer.daemon = True
         timer.start()
-
-
-def _jpeg(image: Image) -> bytes:
-    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
 
 
 def make_stream_server(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServer:
@@ -512,32 +401,21 @@ def make_stream_server(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServ
             if stream is None or re.fullmatch(r"-1|[0-9]{1,9}", images) is None:
                 self.send_error(404, "expected /left or /right, or /left?images=90")
                 return
-            if stream.has_ended:
+            if stream.ended:
                 self.send_error(503, "the stream has ended")
                 return
             self.send_response(200)
-            self.send_header(
-                "Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY.decode()}"
-            )
+            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
             self.end_headers()
-            seen = stream.count
+            seen, left = stream.count, int(images)
             try:
-                self.wfile.write(b"--" + _BOUNDARY + b"\r\n")
-                left = int(images)
-                while left != 0:
+                self.wfile.write(b"--frame\r\n")
+                while left != 0 and (newest := stream.next(seen)) is not None:
                     left -= 1
-                    newest = stream.next(seen)
-                    if newest is None:
-                        return
                     jpeg, seen = newest
+                    head = b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)
                     # the boundary follows the image at once: else a reader waits for the next image
-                    self.wfile.write(
-                        b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)
-                        + jpeg
-                        + b"\r\n--"
-                        + _BOUNDARY
-                        + b"\r\n"
-                    )
+                    self.wfile.write(head + jpeg + b"\r\n--frame\r\n")
             except OSError:  # the reader has disconnected
                 pass
 
@@ -548,35 +426,25 @@ def make_stream_server(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServ
 
 def run_streams(
     head_toml: str,
-    config: StreamConfig,
+    config: EmulatorConfig,
+    frame_rate_hz: float,
+    latency_s: float,
+    scene: Scene | None,
     world_address: str,
-    port: int,
-    board_text: str | None = None,
-    scene: Scene | None = None,
 ) -> None:
-    """Draw and stream until the world ends: the main function of the cameras' process.
-
-    Args:
-        head_toml: the text of the head's file.
-        config: timing and noise of the cameras.
-        world_address: HOST:PORT of the world.
-        port: port of the streams; 0 for any free port.
-        board_text: the board before the head, at its own size; None for a tag whose size in the
-            image does not depend on its distance.
-        scene: the room, and the object in it; None for a board before plain grey.
-    """
+    """Draw and stream until the world ends: the main function of the cameras' process."""
     cv2.setNumThreads(1)
     model = parse_head(head_toml)
     client = WorldClient(world_address)
     if scene is not None:
         views: BoardImageRenderer = RoomImageRenderer(model, scene)
-    elif board_text is None:
+    elif config.board is not None:
+        views = BoardImageRenderer(model, parse_sized_board(config.board))
+    else:  # a tag whose size in the image does not depend on its distance
         views = BoardImageRenderer(model, make_planar_target("tag"), width_rad="fit")
-    else:
-        views = BoardImageRenderer(model, parse_sized_board(board_text))
-    cameras = EmulatedCameras(client, views, config)
+    cameras = EmulatedCameras(client, views, config, frame_rate_hz, latency_s)
     cameras.draw()  # compiles everything before the first reader
-    server = make_stream_server(cameras, port)
+    server = make_stream_server(cameras, config.port)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     client.ask({"streams": f"http://127.0.0.1:{server.server_address[1]}"})
     try:
@@ -585,6 +453,33 @@ def run_streams(
         pass
     finally:
         server.shutdown()
+
+
+_BOARD_OFFSET_M: Final = (0.03, -0.02)
+"""Offset of a board's centre from the line straight ahead, right and down, m (chosen)."""
+_TILT_RAD: Final = (0.25, -0.3, 0.05)
+"""Rotation vector of a board away from facing the head, rad: a tilted board makes focal lengths
+observable (chosen)."""
+
+
+def parse_sized_board(text: str) -> PlanarTarget:
+    """Parse the description of a board of known size, see `parse_target`."""
+    target = parse_target(text)
+    if isinstance(target, TagFamily) or not target.size_known:
+        raise ConfigurationError(
+            "board: expected one board of a known size, such as checkerboard:9x6:24 (inner "
+            f"corners, square in mm), got {text}"
+        )
+    return target
+
+
+def tilted_board_pose(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
+    """(4, 4) pose T_0_T of a board at a distance ahead of a head at rest, slightly tilted, m."""
+    T_N_T = np.eye(4)
+    T_N_T[:3, :3] = Rotation.from_rotvec(_TILT_RAD).as_matrix()
+    middle = T_N_T[:3, :2] @ target.corners_m.mean(axis=0)
+    T_N_T[:3, 3] = np.array([*_BOARD_OFFSET_M, distance_m]) - middle
+    return np.asarray(head.base_pose(head.rest()) @ T_N_T)
 
 
 def emulate(
@@ -606,46 +501,31 @@ def emulate(
         VergenceError: there is no such head or board, or the script of faults is invalid.
         HardwareError: the cameras' process has ended.
     """
-    head = load_head(config.head)
-    # the same draw as `GazeTask`'s with this seed for its model's
-    true = (
-        head.perturbed(np.random.default_rng(config.seed), model_errors) if model_errors else head
-    )
+    head = true = load_head(config.head)
+    if model_errors:
+        # the same draw as `GazeTask`'s with this seed for its model's
+        true = head.perturbed(np.random.default_rng(config.seed), model_errors)
     board = None if config.board is None else parse_sized_board(config.board)
     scene = None
     if config.scene is not None or config.wall is not None:
         scene = parse_scene(config.scene or "ball", str(config.wall) if config.wall else None)
     T_0_T = None if board is None else tilted_board_pose(head, board, config.board_distance_m)
-    point = np.asarray(config.target_mm) / 1000.0
-    motors = MotorOptions(
-        **{field.name: getattr(config, field.name) for field in fields(MotorOptions)}
-    )
-    world = World(true, point, motors, config.seed, T_0_T)
+    world = World(true, np.asarray(config.target_mm) / 1000.0, config, config.seed, T_0_T)
     if config.faults is not None:
         world.faults.schedule(load_faults(config.faults, world.ids))
     server = EmulatorServer(world)
-    streams = StreamConfig(
-        frame_rate_hz=head.timing.frame_rate_hz,
-        latency_s=head.timing.latency_s if config.latency_s is None else config.latency_s,
-        jitter_s=config.jitter_s,
-        right_late_s=config.right_late_s,
-        seed=config.seed,
-    )
+    latency_s = head.timing.latency_s if config.latency_s is None else config.latency_s
+    shown = (head_to_toml(true), config, head.timing.frame_rate_hz, latency_s, scene)
     process = multiprocessing.get_context("spawn").Process(
-        target=run_streams,
-        args=(head_to_toml(true), streams, server.address, config.port, config.board, scene),
-        daemon=True,
+        target=run_streams, args=(*shown, server.address), daemon=True
     )
     process.start()
     try:
         server.serve(lambda: bool(server.streams) or not process.is_alive())
         if server.streams:
-            target = str(board or make_planar_target("tag"))
-            if scene is not None:
-                target = scene.target
-            values = hardware_config_values(
-                absolute_source(config.head), head.digest, world, server, target
-            )
+            target = str(board or make_planar_target("tag")) if scene is None else scene.target
+            source = absolute_source(config.head)
+            values = hardware_config_values(source, head.digest, world, server, target)
             on_config_ready(toml_text(values))
             server.serve(lambda: should_stop() or not process.is_alive())
         if not should_stop() and not process.is_alive():
@@ -661,15 +541,7 @@ def emulate(
 def hardware_config_values(
     head_source: str, head_digest: str, world: World, server: EmulatorServer, target: str
 ) -> dict[str, Any]:
-    """The plain values of a configuration of this emulated head, see `vergence.hardware.config`.
-
-    Args:
-        head_source: the head's preset or file.
-        head_digest: digest of that head.
-        world: the world.
-        server: the server of that world.
-        target: the target before the cameras, see `parse_target`.
-    """
+    """The plain values of a configuration of this emulated head, see `vergence.hardware.config`."""
     return {
         "head": head_source,
         "head_digest": head_digest[:16],

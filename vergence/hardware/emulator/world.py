@@ -1,12 +1,18 @@
 """The world of an emulated head: its servos on their line, their faults, and the target before it.
 
 Joints move by the package's joint law, computed on demand and exactly: each request first advances
-them to the present, in pieces between the instants at which faults begin and end.
+them to the present, in pieces between the instants at which faults begin and end. Nothing here
+reads a clock or does I/O.
+
+Servos with the same id answer at the same time. On the line a 0 overrides a 1, so what arrives is
+the AND of their bytes: it stays intact if all send the same, as to a ping, and else is damaged. A
+servo obeys what is written to its SECONDARY_ID, without an answer.
+
+Not emulated, and answered with an error: registered instructions, fast and bulk reads.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator
 from functools import reduce
 from itertools import zip_longest
 from math import ceil
@@ -32,6 +38,7 @@ from vergence.hardware.dynamixel.packets import (
     Packet,
     status_packet,
 )
+from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.faults import ActiveFaults, Fault
 from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo, rest_start_and_top_speed
 from vergence.models.head import HeadModel
@@ -47,19 +54,12 @@ class TimedAnswer(NamedTuple):
 
     id: int
     return_delay_s: float
-    """Its RETURN_DELAY_TIME and the time that it writes to its EEPROM, from the end of the request
-    or of the answer before it, s."""
+    """Delay after the request or the answer before it, s."""
     data: bytes
 
 
 class ServoLine:
-    """Servos that share a line.
-
-    In a sync read the servos after a silent one answer all the same.
-
-    Args:
-        servos: the servos.
-    """
+    """Servos that share a line; in a sync read those after a silent one answer all the same."""
 
     def __init__(self, servos: Iterable[EmulatedServo]) -> None:
         self.servos = tuple(servos)
@@ -85,22 +85,12 @@ class ServoLine:
     def answer(
         self, packet: Packet, now_s: float, baud_rate: int | None = None
     ) -> list[TimedAnswer]:
-        """Status packets that answer a packet, in their order.
-
-        Args:
-            packet: any packet from the line.
-            now_s: time of its arrival, on the clock of `advance_to`, s.
-            baud_rate: baud rate at which it was sent; servos with another rate do not receive it.
-                None for each servo's own.
-        """
+        """Answers to a packet in their order, of the servos with its baud rate; None for all."""
         self.advance_to(now_s)
         if packet.instruction == Instruction.STATUS:
             return []
-        present = [
-            servo
-            for servo in self.servos
-            if not servo.silent and baud_rate in (None, servo.baud_rate)
-        ]
+        hearing = [one for one in self.servos if baud_rate in (None, one.baud_rate)]
+        present = [servo for servo in hearing if not servo.silent]
         for servo in present:
             servo.feed_watchdog(now_s)
         if packet.instruction == Instruction.SYNC_READ:
@@ -124,23 +114,17 @@ def _obeys(servo: EmulatedServo, id: int) -> bool:
 
 def _overlapping(answers: Iterable[TimedAnswer]) -> list[TimedAnswer]:
     """Answers as they arrive, in the order of their ids' first ones."""
-    order: dict[int, list[TimedAnswer]] = {}
+    by_id: dict[int, list[TimedAnswer]] = {}
     for answer in answers:
-        order.setdefault(answer.id, []).append(answer)
-    return [
-        same[0]
-        if len(same) == 1
-        else TimedAnswer(
-            id, max(one.return_delay_s for one in same), _anded(one.data for one in same)
-        )
-        for id, same in order.items()
-    ]
+        by_id.setdefault(answer.id, []).append(answer)
+    return [same[0] if len(same) == 1 else _anded(same) for same in by_id.values()]
 
 
-def _anded(packets: Iterable[bytes]) -> bytes:
-    """Bytes of packets that are sent at once: after its end a packet leaves the line at 1."""
-    columns = zip_longest(*packets, fillvalue=0xFF)
-    return bytes(reduce(and_, column) for column in columns)
+def _anded(answers: list[TimedAnswer]) -> TimedAnswer:
+    """What arrives of answers that are sent at once: after its end one leaves the line at 1."""
+    columns = zip_longest(*(one.data for one in answers), fillvalue=0xFF)
+    data = bytes(reduce(and_, column) for column in columns)
+    return TimedAnswer(answers[0].id, max(one.return_delay_s for one in answers), data)
 
 
 def _execute(servo: EmulatedServo, packet: Packet) -> TimedAnswer | None:
@@ -210,22 +194,13 @@ _CRC_FLIPPED: Final = 0x01
 
 
 def apply_line_faults(
-    answers: Sequence[TimedAnswer], faults: Iterable[Fault], rng: np.random.Generator
+    answers: Iterable[TimedAnswer], faults: Collection[Fault], rng: np.random.Generator
 ) -> list[tuple[float, bytes]]:
-    """Apply the faults of the line to the answers to one request.
+    """Delays beyond the faultless time, s, and bytes of the answers, earliest first.
 
-    Args:
-        answers: the answers, in their order.
-        faults: active faults of the line; each is drawn separately for every answer of its servos,
-            in this order.
-        rng: random generator of the draws.
-
-    Returns:
-        Pairs of the delay beyond the faultless time, s, and the bytes, earliest first; bytes with
-        the same delay are joined.
+    Each fault is drawn separately for every answer of its servos, in order.
     """
     sent: dict[float, bytes] = {}
-    faults = list(faults)
     for answer in answers:
         late_s, data = 0.0, answer.data
         for fault in faults:
@@ -259,35 +234,6 @@ _FIRMWARE: Final = 52
 """Firmware of emulated models (chosen: the first without reports of a failing watchdog)."""
 _BAUD_RATE: Final = 1_000_000
 """Baud rate that the servos are set to, bit/s (chosen)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotorOptions:
-    """Dynamics and encoders of the servos of an emulated head, and the adapter of their line."""
-
-    servo: str | None = None
-    """Servo model, see `vergence.models.ruler`; None for an XL430-W250 as the head has it.
-    """
-    speed_filter_s: float = 0.0
-    """Time constant of the low-pass filter on reported speeds, s."""
-    lag_s: float | None = None
-    """Time constant of their response, s; None for the head's."""
-    acceleration_rad_s2: float | None = None
-    """Their greatest acceleration, rad/s^2; None for the model's or the head's."""
-    speed_gain: float = 1.0
-    """Steady-state speed per commanded speed."""
-    command_latency_s: float = 0.0
-    """Latency from a command's arrival to their response, s."""
-    backlash_rad: float = 0.0
-    """Backlash between encoders and joints, rad."""
-    feedback_latency_s: float = 0.0
-    """Age of the angles and speeds that servos report, s."""
-    answer_latency_s: float = 0.0
-    """Delay of every answer by the adapter, s."""
-    friction: float = 0.0
-    """Coulomb friction, as a fraction of the greatest torque."""
-    gravity: float = 0.0
-    """Greatest torque of gravity about a horizontal axis, as a fraction of the greatest torque."""
 
 
 def _make_model(servo: EmulatedServo, model: ServoModel) -> None:
@@ -327,7 +273,7 @@ class World:
     Args:
         head: the head that really moves.
         point: (3,) target position until another one is placed, in N, m.
-        motors: dynamics and encoders of the servos, and the adapter of their line.
+        config: gives the servos and the adapter of their line.
         seed: random seed of the faults of answers.
         T_0_T: (4, 4) pose of a fixed board in place of a target, m; None for a target.
     """
@@ -336,21 +282,19 @@ class World:
         self,
         head: HeadModel,
         point: FloatArray,
-        motors: MotorOptions | None = None,
+        config: EmulatorConfig | None = None,
         seed: int = 0,
         T_0_T: FloatArray | None = None,
     ) -> None:
-        motors = motors or MotorOptions()
+        config = config or EmulatorConfig()
         self.head = head
         self._slots = actuator_slots(head)
         actuation, timing = head.actuation, head.timing
-        lag_s = timing.lag_s if motors.lag_s is None else motors.lag_s
-        acceleration = actuation.acceleration
-        model = None if motors.servo is None else find_servo_model(motors.servo)
-        if motors.acceleration_rad_s2 is not None:
-            acceleration = np.full(7, motors.acceleration_rad_s2)
-        elif model is not None:
-            acceleration = np.full(7, model.acceleration_rad_s2)
+        lag_s = timing.lag_s if config.lag_s is None else config.lag_s
+        model = None if config.servo is None else find_servo_model(config.servo)
+        acceleration = config.acceleration_rad_s2
+        if acceleration is None and model is not None:
+            acceleration = model.acceleration_rad_s2
         start = actuation.actuators_of(head.rest())
         self.servos = {
             name: EmulatedServo(
@@ -358,15 +302,17 @@ class World:
                 lower=float(actuation.lower[slot]),
                 upper=float(actuation.upper[slot]),
                 lag_s=float(lag_s * actuation.lag_ratio[slot]),
-                acceleration=float(acceleration[slot]),
+                acceleration=float(
+                    actuation.acceleration[slot] if acceleration is None else acceleration
+                ),
                 position_rad=float(start[slot]),
-                speed_filter_s=motors.speed_filter_s,
-                speed_gain=motors.speed_gain,
-                backlash_rad=motors.backlash_rad,
-                feedback_latency_s=motors.feedback_latency_s,
+                speed_filter_s=config.speed_filter_s,
+                speed_gain=config.speed_gain,
+                backlash_rad=config.backlash_rad,
+                feedback_latency_s=config.feedback_latency_s,
                 max_speed=model.speed_rad_s if model else float(actuation.velocity[slot]),
-                friction=motors.friction,
-                gravity=motors.gravity * _lever(head, slot),
+                friction=config.friction,
+                gravity=config.gravity * _lever(head, slot),
             )
             for ident, (name, slot) in enumerate(self._slots.items(), 1)
         }
@@ -379,8 +325,8 @@ class World:
         self.ids = tuple(servo.id for servo in self.servos.values())
         self.line = ServoLine(self.servos.values())
         self.faults = ActiveFaults(self.servos.values())
-        self._command_latency_s = motors.command_latency_s
-        self._answer_latency_s = motors.answer_latency_s
+        self._command_latency_s = config.command_latency_s
+        self._answer_latency_s = config.answer_latency_s
         self._commands: deque[tuple[float, Packet]] = deque()
         self._rng = np.random.default_rng(seed)
         self._told_s = -np.inf
@@ -425,13 +371,8 @@ class World:
     def answer(self, packet: Packet, now_s: float, baud_rate: int) -> list[tuple[float, bytes]]:
         """Answers of the servos to a packet, with the active faults of the line.
 
-        Args:
-            packet: a packet from the line.
-            now_s: time of its arrival, s.
-            baud_rate: baud rate at which it was sent; servos with another rate do not receive it.
-
-        Returns:
-            Pairs of the delay after the packet, without the time on the wire, s, and the bytes.
+        Pairs of the delay after the packet, without the time on the wire, s, and the bytes. Servos
+        with another baud rate do not receive it.
         """
         self.advance_to(now_s)
         if packet.instruction == Instruction.SYNC_WRITE and self._command_latency_s:
@@ -460,26 +401,22 @@ class World:
     def rest_report(self, since_s: float, now_s: float) -> dict[str, Any]:
         """Start of the present rest, `rested_s`, and `fastest`, see `rest_start_and_top_speed`."""
         self.advance_to(now_s)
-        rested_s, fastest = rest_start_and_top_speed(
-            [servo.trace for servo in self.line.servos], since_s
-        )
+        traces = [servo.trace for servo in self.line.servos]
+        rested_s, fastest = rest_start_and_top_speed(traces, since_s)
         return {"rested_s": rested_s, "fastest": fastest}
 
     def motion_since_last_call(self, now_s: float) -> dict[str, Any]:
-        """Motion of each servo's shaft since the last call, or all that is kept: 20 s or more.
+        """`times`, `positions` and `velocities` of each servo's shaft since the last call.
 
-        Returns:
-            By the joint's name `times`, `positions` and `velocities`, at least every 2 ms while the
-            velocity changes.
+        They are told by the joint's name, from the last 20 s or more, at least every 2 ms while the
+        velocity changes.
         """
         self.advance_to(now_s)
-        moments = {name: one.trace.samples_since(self._told_s) for name, one in self.servos.items()}
-        self._told_s = now_s
+        since_s, self._told_s = self._told_s, now_s
+        keys = ("times", "positions", "velocities")
         return {
-            name: dict(
-                zip(("times", "positions", "velocities"), zip(*own, strict=True), strict=True)
-            )
-            for name, own in moments.items()
+            name: dict(zip(keys, zip(*one.trace.samples_since(since_s), strict=True), strict=True))
+            for name, one in self.servos.items()
         }
 
     def _joints(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -490,11 +427,7 @@ class World:
         return self.head.actuation.joints_of(own[0]), own[1], own[2]
 
     def state(self, now_s: float) -> dict[str, Any]:
-        """Ground truth at a time.
-
-        Args:
-            now_s: time, s of the monotonic clock, not before an earlier call's.
-        """
+        """Ground truth at a time, not before an earlier call's."""
         self.advance_to(now_s)
         q, motors, v = self._joints()
         if not self.head.actuation.direct:
