@@ -171,13 +171,9 @@ class Motor:
     """
 
     def __init__(
-        self,
-        lag_s: float,
-        acceleration: float,
-        max_speed: float,
-        friction: float = 0.0,
-        gravity: float = 0.0,
-    ) -> None:
+        self, lag_s: float, acceleration: float, max_speed: float,
+        friction: float = 0.0, gravity: float = 0.0,
+    ) -> None:  # fmt: skip
         self.friction, self.gravity = friction, gravity
         self._lag_s, self._acceleration = lag_s, acceleration
         no_load = _NO_LOAD_RATIO * max_speed
@@ -330,25 +326,13 @@ class EmulatedServo:
     """
 
     def __init__(
-        self,
-        id: int,
-        *,
-        lag_s: float,
-        acceleration: float = inf,
-        lower: float = -inf,
-        upper: float = inf,
-        sign: int = 1,
-        zero_ticks: int = table.CENTRE_TICKS,
-        gear_ratio: float = 1.0,
-        speed_filter_s: float = 0.0,
-        speed_gain: float = 1.0,
-        backlash_rad: float = 0.0,
-        feedback_latency_s: float = 0.0,
-        max_speed: float = 6.0,
-        friction: float = 0.0,
-        gravity: float = 0.0,
-        position_rad: float = 0.0,
-    ) -> None:
+        self, id: int, *, lag_s: float, acceleration: float = inf,
+        lower: float = -inf, upper: float = inf,
+        sign: int = 1, zero_ticks: int = table.CENTRE_TICKS, gear_ratio: float = 1.0,
+        speed_filter_s: float = 0.0, speed_gain: float = 1.0, backlash_rad: float = 0.0,
+        feedback_latency_s: float = 0.0, max_speed: float = 6.0,
+        friction: float = 0.0, gravity: float = 0.0, position_rad: float = 0.0,
+    ) -> None:  # fmt: skip
         if not lag_s > 0.0:
             raise ConfigurationError(f"servo.lag_s: expected more than 0, got {lag_s}")
         self.lag_s, self.acceleration = lag_s, acceleration
@@ -377,7 +361,7 @@ class EmulatedServo:
         self._reported = 0.0  # velocity after the filter, rad/s
         self._sensed = MotionTrace()  # shaft angle, and velocity after the filter
         self._at_s: float | None = None  # None until time begins
-        self._fed_s = 0.0
+        self.fed_s = 0.0  # time of the last instruction packet for any servo
         self._tripped = False
         self.memory = ControlTable(id)
         self._hold()
@@ -419,14 +403,10 @@ class EmulatedServo:
             self._report()
         self.frozen = frozen
 
-    def feed_watchdog(self, now_s: float) -> None:
-        """Receive an instruction packet for any servo: it restarts the watchdog's time."""
-        self._fed_s = now_s
-
     def advance_to(self, now_s: float) -> None:
         """Advance the joint to a time; on the way the watchdog trips if it is due."""
         if self._at_s is None:
-            self._at_s = self._fed_s = now_s
+            self._at_s = self.fed_s = now_s
             self._keep(now_s)
         self._watch_itself()
         at_s = self._at_s
@@ -515,7 +495,7 @@ class EmulatedServo:
         period = self.get(table.BUS_WATCHDOG)
         if period <= 0 or not self.get(table.TORQUE_ENABLE):
             return inf
-        return self._fed_s + table.WATCHDOG_S * period
+        return self.fed_s + table.WATCHDOG_S * period
 
     def _trip(self) -> None:
         self._hold()

@@ -92,7 +92,7 @@ class ServoLine:
         hearing = [one for one in self.servos if baud_rate in (None, one.baud_rate)]
         present = [servo for servo in hearing if not servo.silent]
         for servo in present:
-            servo.feed_watchdog(now_s)
+            servo.fed_s = now_s
         if packet.instruction == Instruction.SYNC_READ:
             return _overlapping(_sync_read(present, packet))
         if packet.instruction == Instruction.SYNC_WRITE:
@@ -299,23 +299,19 @@ class World:
         self.servos = {
             name: EmulatedServo(
                 ident,
-                lower=float(actuation.lower[slot]),
-                upper=float(actuation.upper[slot]),
                 lag_s=float(lag_s * actuation.lag_ratio[slot]),
                 acceleration=float(
                     actuation.acceleration[slot] if acceleration is None else acceleration
                 ),
-                position_rad=float(start[slot]),
-                speed_filter_s=config.speed_filter_s,
-                speed_gain=config.speed_gain,
-                backlash_rad=config.backlash_rad,
-                feedback_latency_s=config.feedback_latency_s,
+                lower=float(actuation.lower[slot]), upper=float(actuation.upper[slot]),
+                speed_filter_s=config.speed_filter_s, speed_gain=config.speed_gain,
+                backlash_rad=config.backlash_rad, feedback_latency_s=config.feedback_latency_s,
                 max_speed=model.speed_rad_s if model else float(actuation.velocity[slot]),
-                friction=config.friction,
-                gravity=config.gravity * _lever(head, slot),
+                friction=config.friction, gravity=config.gravity * _lever(head, slot),
+                position_rad=float(start[slot]),
             )
             for ident, (name, slot) in enumerate(self._slots.items(), 1)
-        }
+        }  # fmt: skip
         for servo in self.servos.values():
             servo.set(table.BAUD_RATE, table.BAUD_RATES.index(_BAUD_RATE))
             servo.set(table.RETURN_DELAY_TIME, 0)
@@ -378,7 +374,7 @@ class World:
         if packet.instruction == Instruction.SYNC_WRITE and self._command_latency_s:
             self._commands.append((now_s + self._command_latency_s, packet))
             for servo in self.line.servos:
-                servo.feed_watchdog(now_s)
+                servo.fed_s = now_s
             return []
         answers = self.line.answer(packet, now_s, baud_rate)
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
