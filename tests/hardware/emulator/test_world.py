@@ -33,6 +33,48 @@ from vergence.hardware.emulator.world import EmulatorConfig, TimedAnswer, World,
 from vergence.models.head_file import head_to_toml
 from vergence.models.toml_table import toml_text
 
+RATE = 1_000_000
+TICKS = 20
+LATENCY_S = 0.015
+
+
+class Head:
+    """A world whose servos are in velocity mode, in time that the test sets."""
+
+    def __init__(self, torque=1, script=(), **config):
+        self.world = World(load_head("turrets"), POINT, EmulatorConfig(**config))
+        self.world.faults.schedule(self.fault(**one) for one in script)
+        for servo in self.world.line.servos:
+            servo.write(table.OPERATING_MODE.address, b"\1")
+        self.world.advance_to(0.0)
+        self.write(0.0, table.TORQUE_ENABLE, torque)
+
+    def fault(self, **values):
+        return parse_fault(values, self.world.ids, timed="at_s" in values)
+
+    def begin(self, now_s, **values):
+        self.world.begin_fault(self.fault(**values), now_s)
+
+    def write(self, now_s, register, value):
+        data = register.encode(value)
+        params = register.address.to_bytes(2, "little") + len(data).to_bytes(2, "little")
+        params += b"".join(bytes((id,)) + data for id in self.world.ids)
+        self.world.answer(Packet(BROADCAST, Instruction.SYNC_WRITE, params), now_s, RATE)
+
+    def turn(self, now_s, ticks=TICKS):
+        self.write(now_s, table.GOAL_VELOCITY, ticks)
+
+    def pings(self, now_s, rate=RATE):
+        return self.world.answer(Packet(BROADCAST, Instruction.PING, b""), now_s, rate)
+
+    def get(self, now_s, register, name="left_pan"):
+        self.world.advance_to(now_s)
+        return self.world.servos[name].get(register)
+
+    @property
+    def speeds(self):
+        return self.world.line.velocities()
+
 
 def test_a_target_is_where_it_was_put_until_it_is_placed(served):
     truth = served.client.truth(served.world.head, 0.5)
@@ -180,42 +222,6 @@ def test_the_command_refuses_wrong_numbers_in_a_line(capsys):
             assert said in line
 
 
-RATE = 1_000_000
-
-
-class Head:
-    """A world whose servos are in velocity mode, in time that the test sets."""
-
-    def __init__(self, torque=1, script=()):
-        self.world = World(load_head("turrets"), POINT)
-        self.world.faults.schedule(self.fault(**one) for one in script)
-        self.write(0.0, table.OPERATING_MODE, table.VELOCITY_MODE)
-        self.write(0.0, table.TORQUE_ENABLE, torque)
-
-    def fault(self, **values):
-        return parse_fault(values, self.world.ids, timed="at_s" in values)
-
-    def begin(self, now_s, **values):
-        self.world.begin_fault(self.fault(**values), now_s)
-
-    def write(self, now_s, register, value):
-        data = register.encode(value)
-        params = register.address.to_bytes(2, "little") + len(data).to_bytes(2, "little")
-        params += b"".join(bytes((id,)) + data for id in self.world.ids)
-        self.world.answer(Packet(BROADCAST, Instruction.SYNC_WRITE, params), now_s, RATE)
-
-    def pings(self, now_s, rate=RATE):
-        return self.world.answer(Packet(BROADCAST, Instruction.PING, b""), now_s, rate)
-
-    def get(self, now_s, register, name="left_pan"):
-        self.world.advance_to(now_s)
-        return self.world.servos[name].get(register)
-
-    @property
-    def speeds(self):
-        return self.world.line.velocities()
-
-
 def test_return_delays_add_up_on_the_line():
     head = Head()
     for servo in head.world.line.servos:
@@ -227,7 +233,7 @@ def test_a_fault_ends_at_its_own_instant():
     late, prompt = Head(), Head()
     for head in (late, prompt):
         head.begin(1.0, what="stuck", ids=[1], for_s=0.5)
-        head.write(1.0, table.GOAL_VELOCITY, 20)
+        head.turn(1.0)
     late.world.advance_to(2.0)  # in one go, past the end
     prompt.world.advance_to(1.5)
     assert prompt.speeds[0] == 0.0
@@ -250,7 +256,7 @@ def test_what_a_servo_measures_is_well_again_after_the_fault():
 def test_a_servo_that_shuts_down_or_reboots_lets_go_at_that_instant():
     for fault in ({"what": "overload"}, {"what": "temperature", "value": 90}, {"what": "reboot"}):
         head = Head()
-        head.write(0.0, table.GOAL_VELOCITY, 20)
+        head.turn(0.0)
         head.begin(0.5, ids=[1], **fault)
         with named(fault):
             assert [one.get(table.TORQUE_ENABLE) for one in head.world.line.servos] == [0, 1, 1, 1]
@@ -273,7 +279,7 @@ def test_a_script_counts_from_the_torque_on():
     head = Head(torque=0, script=[{"what": "stuck", "at_s": 1.0, "for_s": 0.5}])
     head.world.advance_to(5.0)
     head.write(5.0, table.TORQUE_ENABLE, 1)
-    head.write(5.0, table.GOAL_VELOCITY, 20)
+    head.turn(5.0)
     stuck = []
     for now_s in (5.9, 6.1, 6.6):
         head.world.advance_to(now_s)
@@ -297,99 +303,75 @@ def test_cameras_learn_of_their_faults_with_the_next_exposure_until_they_are_cle
     assert served.client.ask({"expose": None})["faults"] == []
 
 
-def test_a_client_is_told_from_when_on_the_joints_rest(served):
-    start_s = served.clock.now
-    for servo in served.world.line.servos:
-        servo.write(table.OPERATING_MODE.address, b"\1")
-        servo.write(table.TORQUE_ENABLE.address, b"\1")
-    served.client.ask({"state": None})
-    served.world.servos["left_pan"].set(table.GOAL_VELOCITY, 50)
-    served.clock.sleep(0.3)
-    assert served.client.rest_start_s(start_s) is None
-    began_s = served.client.begin_fault(what="overload", ids=[1])
-    served.clock.sleep(1.0)
-    rested_s = served.client.rest_start_s(began_s)
-    assert began_s + 0.03 < rested_s < began_s + 0.5
-    assert served.client.ask({"rest": {"since": began_s}})["fastest"] > 1.0
-
-
-def test_the_record_has_each_joint_since_the_last_call(served):
+@pytest.fixture
+def turning(served):
+    """The first servo of a served world, which turns since now."""
     served.client.ask({"record": None})
-    started_s = served.clock.now
     servo = served.world.servos["left_pan"]
     servo.write(table.OPERATING_MODE.address, b"\1")
     servo.write(table.TORQUE_ENABLE.address, b"\1")
     servo.set(table.GOAL_VELOCITY, 50)
+    return servo
+
+
+def test_a_client_is_told_from_when_on_the_joints_rest(served, turning):
+    start_s = served.clock.now
+    served.clock.sleep(0.3)
+    assert served.client.rest_start_s(start_s) is None
+    began_s = served.client.begin_fault(what="overload", ids=[1])
+    served.clock.sleep(1.0)
+    assert began_s + 0.03 < served.client.rest_start_s(began_s) < began_s + 0.5
+    assert served.client.ask({"rest": {"since": began_s}})["fastest"] > 1.0
+
+
+def test_the_record_has_each_joint_since_the_last_call(served, turning):
+    started_s = served.clock.now
     served.clock.sleep(0.1)
     record = served.client.ask({"record": None})["left_pan"]
     assert record["times"][0] == started_s
     assert np.diff(record["times"]).max() <= 0.002 + 1e-9
-    assert record["velocities"][-1] == pytest.approx(servo.v)
-    assert record["positions"][-1] == pytest.approx(servo.q)
+    assert record["velocities"][-1] == pytest.approx(turning.v)
+    assert record["positions"][-1] == pytest.approx(turning.q)
 
 
-HEAD = load_head("turrets")
-TICKS = 40
-LATENCY_S = 0.015
+IMPERFECT = {
+    "lag_s": 0.02, "speed_gain": 0.5, "command_latency_s": LATENCY_S, "backlash_rad": 0.01,
+    "acceleration_rad_s2": 1000.0,
+}  # fmt: skip
 
 
-def turn(world, ticks, now_s):
-    """Tell the first servo a velocity, as the plant does."""
-    register = table.GOAL_VELOCITY
-    place = [*register.address.to_bytes(2, "little"), *register.length.to_bytes(2, "little")]
-    data = bytes([*place, 1, *ticks.to_bytes(4, "little", signed=True)])
-    world.answer(Packet(BROADCAST, Instruction.SYNC_WRITE, data), now_s, 1_000_000)
-
-
-def made(**motors):
-    world = World(HEAD, POINT, EmulatorConfig(**motors))
-    world.advance_to(0.0)
-    for servo in world.line.servos:
-        servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
-        servo.set(table.TORQUE_ENABLE, 1)
-    return world
-
-
-@pytest.fixture
-def world():
-    return made(
-        lag_s=0.02, speed_gain=0.5, command_latency_s=LATENCY_S, backlash_rad=0.01,
-        acceleration_rad_s2=1000.0,
-    )  # fmt: skip
-
-
-def test_a_command_acts_when_its_latency_has_passed(world):
-    turn(world, TICKS, 0.1)
-    assert world.state(0.1 + LATENCY_S)["velocities"][3] == 0.0
-    speed = 0.5 * TICKS * table.TICK_RAD_S
-    after = world.state(0.1 + LATENCY_S + 0.02)["velocities"][3]
-    assert after == pytest.approx(speed * (1.0 - np.exp(-1.0)), rel=1e-3)
+def test_a_command_acts_when_its_latency_has_passed():
+    head = Head(**IMPERFECT)
+    head.world.advance_to(LATENCY_S)  # the torque is on
+    head.turn(0.1)
+    assert head.world.state(0.1 + LATENCY_S)["velocities"][3] == 0.0
+    after = head.world.state(0.1 + LATENCY_S + 0.02)["velocities"][3]
+    assert after == pytest.approx(0.5 * TICKS * table.TICK_RAD_S * (1.0 - np.exp(-1.0)), rel=1e-3)
 
 
 def test_what_servos_report_is_as_old_as_their_feedback():
     late_s = 0.0125
-    now, late = made(), made(feedback_latency_s=late_s)
-    for world in (now, late):
-        turn(world, TICKS, 0.1)
+    now, late = Head(), Head(feedback_latency_s=late_s)
+    for head in (now, late):
+        head.turn(0.1)
 
-    def reported(world, at_s):
-        world.advance_to(at_s)
-        servo = world.line.servos[0]
-        servo.read(table.PRESENT_POSITION.address, table.PRESENT_POSITION.length)
-        return servo.get(table.PRESENT_POSITION), servo.get(table.PRESENT_VELOCITY)
+    def reported(head, at_s):
+        head.world.advance_to(at_s)
+        head.world.line.servos[0].read(table.PRESENT_POSITION.address, 4)
+        return [head.get(at_s, one) for one in (table.PRESENT_POSITION, table.PRESENT_VELOCITY)]
 
     for at_s in (0.1, 0.13, 0.2, 1.0):  # at rest, gathering speed, steady
         assert reported(late, at_s + late_s) == pytest.approx(reported(now, at_s), abs=1)
-    assert late.state(1.1)["positions"] == pytest.approx(now.state(1.1)["positions"])
+    true = [head.world.state(1.1)["positions"] for head in (now, late)]
+    assert true[1] == pytest.approx(true[0])
 
 
-def test_play_lets_the_camera_stay_behind_and_the_encoder_sees_none(world):
-    turn(world, TICKS, 0.1)
-    ahead = world.state(1.0)
-    assert ahead["motors"][3] - ahead["positions"][3] == pytest.approx(0.005)
-    turn(world, -TICKS, 1.0)
-    back = world.state(2.0)
-    assert back["motors"][3] - back["positions"][3] == pytest.approx(-0.005)
+def test_play_lets_the_camera_stay_behind_and_the_encoder_sees_none():
+    head = Head(**IMPERFECT)
+    for now_s, side in ((0.1, 1), (1.0, -1)):
+        head.turn(now_s, side * TICKS)
+        state = head.world.state(now_s + 0.9)
+        assert state["motors"][3] - state["positions"][3] == pytest.approx(side * 0.005)
 
 
 ANSWERS = [TimedAnswer(id, 0.0, status_packet(id, b"abcd")) for id in (1, 2, 3)]
