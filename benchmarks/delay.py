@@ -21,8 +21,7 @@ from tests.hardware.emulated import emulated
 from tests.hardware.virtual import VirtualRobot, WatchedWorld, virtual_config
 from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
-from vergence.hardware.delay.measure import measure_loop
-from vergence.hardware.delay.measurement import LoopMeasurement
+from vergence.hardware.delay.measure import LoopMeasurement, measure_loop
 from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, EYES
