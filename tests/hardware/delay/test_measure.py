@@ -114,7 +114,7 @@ def test_what_only_the_prior_knows_has_the_priors_deviation():
     data, before = np.array([[2.0, 0.0]] * 40), np.array([[0.0, 5.0]])
     residual = np.append(np.random.default_rng(0).normal(size=40), 0.0)
     rows, blocks = np.concatenate([data, before]), np.arange(40) // 4
-    found = jackknife_covariance(rows, residual, blocks, loss_scale=1e6, prior_count=1)
+    found = jackknife_covariance(rows, residual, blocks, 1e6, 1)
     assert found[1, 1] == pytest.approx(0.2**2)
     assert found[0, 0] == pytest.approx(1.0 / (4.0 * 40), rel=0.6)
 

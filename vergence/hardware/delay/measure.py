@@ -46,31 +46,13 @@ _DELAY_PERIODS: Final = 3
 
 
 def excitation_speeds(reach_rad: float, max_speed_rad_s: float, period_s: float) -> FloatArray:
-    """Speeds of the excitation, one per control period.
-
-    Args:
-        reach_rad: greatest distance from the start angle, rad.
-        max_speed_rad_s: greatest speed, rad/s.
-        period_s: the control period, s.
-
-    Returns:
-        (n,) speeds, rad/s.
-    """
-    slow = _to_and_fro(
-        min(_SLOW_AMPLITUDE_RAD, reach_rad),
-        min(SLOW_RAD_S, max_speed_rad_s),
-        _SLOW_DURATION_S,
-        period_s,
-    )
+    """(n,) speeds of the excitation, one per control period, rad/s."""
+    way_rad, speed_rad_s = min(_SLOW_AMPLITUDE_RAD, reach_rad), min(SLOW_RAD_S, max_speed_rad_s)
+    slow = _to_and_fro(way_rad, speed_rad_s, _SLOW_DURATION_S, period_s)
+    chirp = _chirp(reach_rad, min(CHIRP_RAD_S, max_speed_rad_s), period_s)
     quick = min(QUICK_RAD_S, max_speed_rad_s)
-    return np.concatenate(
-        [
-            slow,
-            _chirp(reach_rad, min(CHIRP_RAD_S, max_speed_rad_s), period_s),
-            _to_and_fro(reach_rad, quick, _REVERSALS_DURATION_S, period_s),
-            slow,
-        ]
-    )
+    reversals = _to_and_fro(reach_rad, quick, _REVERSALS_DURATION_S, period_s)
+    return np.concatenate([slow, chirp, reversals, slow])
 
 
 def _to_and_fro(way_rad: float, speed_rad_s: float, length_s: float, period_s: float) -> FloatArray:
@@ -95,21 +77,10 @@ def _chirp(reach_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
 def drift_corrected_velocities(
     slot: int, speeds_rad_s: FloatArray, period_s: float, read_angle: Callable[[], float]
 ) -> Iterator[FloatArray]:
-    """Requested velocities for one actuator, with a slow correction against drift.
-
-    Args:
-        slot: its index in the 7-element command.
-        speeds_rad_s: (n,) its speeds, rad/s.
-        period_s: the control period, s.
-        read_angle: returns its present angle, rad.
-
-    Yields:
-        (7,) velocities, rad/s.
-    """
+    """(7,) velocities for one actuator, with a slow correction against drift, rad/s."""
     middle = read_angle()
-    places = middle + period_s * np.concatenate(
-        [np.zeros(_DELAY_PERIODS + 1), np.cumsum(speeds_rad_s)]
-    )
+    way = np.concatenate([np.zeros(_DELAY_PERIODS + 1), np.cumsum(speeds_rad_s)])
+    places = middle + period_s * way
     for speed, place in zip(speeds_rad_s, places, strict=False):
         requested = np.zeros(7)
         requested[slot] = speed + _DRIFT_GAIN * (place - read_angle())
@@ -138,18 +109,11 @@ class LoopSamples(NamedTuple):
 
 
 class SampleCollector(RobotListener):
-    """RobotListener that keeps commands, joint angles and detections.
-
-    Args:
-        clock: the clock of all times, s.
-
-    Attributes:
-        clock: the clock of all times, s.
-    """
+    """Keeps commands, joint angles and detections, with times of its clock."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
-        self._newest = np.zeros(7)
+        self.newest = np.zeros(7)
         self._commands: list[LoggedCommand] = []
         self._joints: list[tuple[float, FloatArray]] = []
         self._answered_s: list[float] = []
@@ -163,23 +127,14 @@ class SampleCollector(RobotListener):
         """See `RobotListener.joints`."""
         self._joints.append((clock_s, positions))
         self._answered_s.append(self.clock() - clock_s)
-        self._newest = positions
+        self.newest = positions
 
     def detection(self, found: LoggedDetection) -> None:
         """See `RobotListener.detection`."""
         self._detections.append(found)
 
-    @property
-    def newest(self) -> FloatArray:
-        """(7,) the newest joint angles, rad."""
-        return self._newest
-
     def reply_times_s(self, read_s: Sequence[float]) -> FloatArray:
-        """Times from a policy's readings to its commands, s.
-
-        Args:
-            read_s: times at which it received each reading of a trial, s of the clock.
-        """
+        """Times from a policy's readings, received at these times, to its commands, s."""
         sent_s = [one.clock_s for one in self._commands if one.by == CommandOrigin.POLICY.value]
         count = min(len(sent_s), len(read_s))
         return np.subtract(sent_s[:count], read_s[:count])
@@ -190,13 +145,7 @@ class SampleCollector(RobotListener):
             kept.clear()
 
     def samples(self, eye: str, slot: int, latency_s: float) -> LoopSamples:
-        """Samples of one eye recorded so far.
-
-        Args:
-            eye: `left` or `right`.
-            slot: index in the 7-element command of the actuator that turned.
-            latency_s: latency that was subtracted from the times of receipt to date exposures, s.
-        """
+        """Samples of one eye, dated by its latency, while a slot's actuator turned."""
         seen = [one for one in self._detections if one.eye == eye]
         received_s = np.array([one.exposed_s for one in seen]) + latency_s
         return LoopSamples(
@@ -272,21 +221,12 @@ class LoopMeasurement:
                 if np.isfinite(deviation):
                     sigma[name] = deviation
 
-        put(
-            "command_latency_s",
-            [(max(one.motor.latency_s, 0.0), one.sigma.latency_s) for one in joints],
-            shared=True,
-        )
-        put(
-            "lag_s",
-            [
-                (
-                    one.joint_fit.lag_s / one.lag_ratio,
-                    one.joint_fit.lag_sigma_s / one.lag_ratio,
-                )
-                for one in self.eyes
-            ],
-        )
+        commands = [(max(one.motor.latency_s, 0.0), one.sigma.latency_s) for one in joints]
+        put("command_latency_s", commands, shared=True)
+        lags = [
+            (one.joint_fit.lag_s, one.joint_fit.lag_sigma_s, one.lag_ratio) for one in self.eyes
+        ]
+        put("lag_s", [(lag_s / ratio, sigma_s / ratio) for lag_s, sigma_s, ratio in lags])
         put("speed_gain", [(one.motor.gain, one.sigma.gain) for one in joints])
         put("backlash_rad", [(one.backlash_rad, one.backlash_sigma_rad) for one in images])
         jitters = [(one.jitter_s, one.jitter_sigma_s) for one in images if one.jitter_s is not None]
@@ -318,9 +258,8 @@ class LoopMeasurement:
             if one.joint_fit.misfit_rad > _MISFIT_RAD:
                 lines.append(
                     f"{one.actuator}: its angles are {1e3 * one.joint_fit.misfit_rad:.1f} mrad "
-                    "(rms) "
-                    "beside those of a lag behind a latency, whose values are the nearest: a servo "
-                    "that overshoots or slips, or a machine that pauses"
+                    "(rms) beside those of a lag behind a latency, whose values are the nearest: a "
+                    "servo that overshoots or slips, or a machine that pauses"
                 )
             if one.image_fit is None:
                 continue
@@ -403,38 +342,26 @@ def _rows(eye_loop: EyeLoop) -> Iterator[dict[str, Any]]:
         ("command + feedback latency", 1e3 * motor.latency_s, 1e3 * sigma.latency_s, "ms"),
         ("joint lag", 1e3 * joint.lag_s, 1e3 * joint.lag_sigma_s, "ms"),
         ("speed gain", motor.gain, sigma.gain, ""),
-        (
-            "greatest acceleration",
-            joint.acceleration_rad_s2,
-            joint.acceleration_sigma,
-            "rad/s^2",
-        ),
+        ("greatest acceleration", joint.acceleration_rad_s2, joint.acceleration_sigma, "rad/s^2"),
     ]
     if (friction := joint.friction_ratio) is not None:
         rows.append(("friction", 100.0 * friction, np.nan, "% of torque"))
     if image is not None:
         jitter_ms = None if image.jitter_s is None else 1e3 * image.jitter_s
+        least_ms, sigma_ms = 1e3 * image.least_latency_s, 1e3 * image.least_latency_sigma_s
         rows += [
-            (
-                "image - feedback latency",
-                1e3 * image.least_latency_s,
-                1e3 * image.least_latency_sigma_s,
-                "ms",
-            ),
+            ("image - feedback latency", least_ms, sigma_ms, "ms"),
             ("image jitter", jitter_ms, 1e3 * image.jitter_sigma_s, "ms"),
             ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
             ("image scale", image.scale, image.scale_sigma, ""),
         ]
     rows.append(("computing, in total", 1e3 * eye_loop.computing_s, np.nan, "ms"))
     for what, value, deviation, unit in rows:
+        sure = value is not None and np.isfinite(deviation)
         yield {
-            "eye": eye_loop.eye,
-            "actuator": eye_loop.actuator,
-            "what": what,
-            "value": value,
-            "sigma": deviation if value is not None and np.isfinite(deviation) else None,
-            "unit": unit,
-        }
+            "eye": eye_loop.eye, "actuator": eye_loop.actuator, "what": what, "value": value,
+            "sigma": deviation if sure else None, "unit": unit,
+        }  # fmt: skip
 
 
 _CENTRING_S: Final = 2.5
@@ -484,10 +411,8 @@ def measure_loop(
     head, collector = config.head, SampleCollector(clock)
     slots = {name: actuator_slot(head, EYE_NAMES.index(name), actuator) for name in eyes}
     target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
-    options = {
-        "config": config, "log": collector, "clock": clock, "sleep": sleep,
-        "view_check": view_check,
-    }  # fmt: skip
+    options = {"config": config, "log": collector, "clock": clock, "sleep": sleep}
+    options["view_check"] = view_check
     task = GazeTask(1, head=head, plant="hardware", target=target, plant_options=options)
     look = make_controller("ibvs", head, task.layout, gain=_CENTRING_GAIN)
     turns = []
@@ -514,21 +439,16 @@ class _Turn(NamedTuple):
     eye: int
     slot: int
     samples: LoopSamples
-    exposed: tuple[FloatArray, FloatArray, FloatArray]
-    """Reading before the excitation: (7,) joints, (7,) joints at exposure, rad, (2, 2) pixels."""
+    point: FloatArray
+    """(3,) approximate position of the target, in N, m."""
     reply_s: float
     """Median time from a reading to its command, s."""
 
 
 def _turn(
-    config: HardwareConfig,
-    task: GazeTask,
-    look: Any,
-    collector: SampleCollector,
-    eye: int,
-    slot: int,
-    progress: Callable[[float], None],
-) -> _Turn:
+    config: HardwareConfig, task: GazeTask, look: Any, collector: SampleCollector, eye: int,
+    slot: int, progress: Callable[[float], None],
+) -> _Turn:  # fmt: skip
     head, name = config.head, EYE_NAMES[eye]
     assert isinstance(task.plant, HardwarePlant)
     period_s = head.timing.period_s
@@ -543,12 +463,9 @@ def _turn(
             f"cameras.{name}: expected {config.target} in view, got images without it; cure: put "
             "it about 1 m ahead of the head at rest, in good light"
         )
-    exposed = (
-        reading.positions[0].copy(),
-        reading.positions_at_exposure[0].copy(),
-        reading.pixels[0].copy(),
-    )
-    reach = _reach(config, exposed[0], eye, slot, exposed[2][eye])
+    moments = reading.positions, reading.positions_at_exposure, reading.pixels
+    positions, at_exposure, pixels = (values[0].copy() for values in moments)
+    reach = _reach(config, positions, eye, slot, pixels[eye])
 
     def angle() -> float:
         motors: FloatArray = head.actuation.actuators_of(collector.newest)
@@ -567,58 +484,48 @@ def _turn(
 
     task.plant.exercise(all_of_them())
     samples = collector.samples(name, slot, config.cameras[eye].latency_s)
-    return _Turn(eye, slot, samples, exposed, reply_s)
+    point = _point(head, eye, positions, at_exposure, pixels)
+    return _Turn(eye, slot, samples, point, reply_s)
 
 
 def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
-    samples = turn.samples
-    fit, image = _fit(config.head, turn.eye, turn.slot, samples, _point(config.head, turn))
+    head, samples, slot = config.head, turn.samples, turn.slot
+    timing, actuation = head.timing, head.actuation
+    motors = actuation.actuators_of(samples.joint_angles)
+    guess = FittedMotor(
+        latency_s=timing.command_latency_s + timing.feedback_latency_s,
+        lag_s=max(float(timing.lag_s * actuation.lag_ratio[slot]), 2e-3),
+        gain=1.0,
+        inverse_acceleration=float(np.clip(1.0 / actuation.acceleration[slot], 2e-4, 5.0)),
+    )
+    recorded = samples.sent_s, samples.sent_velocities, samples.joints_s, motors[:, slot]
+    fit = fit_joint(*recorded, guess, max(float(head.sensor.encoder_resolution_rad), 1e-5))
+    image = fit_latency_and_backlash(
+        head, turn.eye, slot, np.median(motors, axis=0), fitted_angle_path(fit.motor, *recorded),
+        (float(samples.joints_s[0]), float(samples.joints_s[-1])),
+        samples.received_s, samples.pixels, turn.point, 1.5 * CHIRP_RAD_S,
+    )  # fmt: skip
     late = float(np.hypot(fit.sigma.latency_s, samples.joint_time_sigma_s))
     fit = replace(fit, sigma=fit.sigma._replace(latency_s=late))
     if image is not None:
         late = float(np.hypot(image.latency_sigma_s, samples.joint_time_sigma_s))
         image = replace(image, latency_sigma_s=late)
+    detection_s = samples.detection_time_s
     return EyeLoop(
         eye=EYE_NAMES[turn.eye],
-        actuator=next(one.name for one in config.servos if one.slot == turn.slot),
-        lag_ratio=float(config.head.actuation.lag_ratio[turn.slot]),
-        model_acceleration_rad_s2=float(config.head.actuation.acceleration[turn.slot]),
+        actuator=next(one.name for one in config.servos if one.slot == slot),
+        lag_ratio=float(actuation.lag_ratio[slot]),
+        model_acceleration_rad_s2=float(actuation.acceleration[slot]),
         joint_fit=fit,
         image_fit=image,
-        computing_s=turn.reply_s
-        + (float(np.median(samples.detection_time_s)) if len(samples.detection_time_s) else 0.0),
+        computing_s=turn.reply_s + (float(np.median(detection_s)) if len(detection_s) else 0.0),
     )
-
-
-def _fit(
-    head: HeadModel, eye: int, slot: int, samples: LoopSamples, point: FloatArray
-) -> tuple[JointFit, ImageFit | None]:
-    motors = head.actuation.actuators_of(samples.joint_angles)
-    timing, k = head.timing, slot
-    guess = FittedMotor(
-        latency_s=timing.command_latency_s + timing.feedback_latency_s,
-        lag_s=max(float(timing.lag_s * head.actuation.lag_ratio[k]), 2e-3),
-        gain=1.0,
-        inverse_acceleration=float(np.clip(1.0 / head.actuation.acceleration[k], 2e-4, 5.0)),
-    )
-    step = max(float(head.sensor.encoder_resolution_rad), 1e-5)
-    recorded = samples.sent_s, samples.sent_velocities, samples.joints_s, motors[:, slot]
-    fit = fit_joint(*recorded, guess, step)
-    image = fit_latency_and_backlash(
-        head, eye, slot, np.median(motors, axis=0), fitted_angle_path(fit.motor, *recorded),
-        (float(samples.joints_s[0]), float(samples.joints_s[-1])),
-        samples.received_s, samples.pixels, point, 1.5 * CHIRP_RAD_S,
-    )  # fmt: skip
-    return fit, image
 
 
 def actuator_slot(head: HeadModel, eye: int, actuator: str | None = None) -> int:
     """Index in the 7-element command of the actuator that turns an eye.
 
-    Args:
-        head: the model.
-        eye: 0 for left.
-        actuator: its name; by default the one that moves the eye's image most.
+    By default it is the one that moves the eye's image most.
 
     Raises:
         ConfigurationError: no eye has such an actuator, or it does not move this eye's image.
@@ -645,13 +552,13 @@ def actuator_slot(head: HeadModel, eye: int, actuator: str | None = None) -> int
     return NECK.stop + head.actuation.names.index(name)
 
 
-def _point(head: HeadModel, turn: _Turn) -> FloatArray:
-    """(3,) approximate position of the target, in N, m."""
-    positions, at_exposure, pixels = turn.exposed
+def _point(
+    head: HeadModel, eye: int, positions: FloatArray, at_exposure: FloatArray, pixels: FloatArray
+) -> FloatArray:
     point = triangulate_views(head, at_exposure[None], pixels[None]).point[0]
     if np.isfinite(point).all() and point[2] > 0.0:
         return np.asarray(point)
-    T_N_C = head.camera_poses(positions)[turn.eye]
+    T_N_C = head.camera_poses(positions)[eye]  # at 1 m ahead of the eye
     return np.asarray((T_N_C @ np.array([0.0, 0.0, 1.0, 1.0]))[:3])
 
 
@@ -670,8 +577,7 @@ def _reach(
     if reach < _MIN_AMPLITUDE_RAD:
         raise ConfigurationError(
             f"servos.{servo.name}: expected {_MIN_AMPLITUDE_RAD:g} rad to either side in which "
-            "the target "
-            f"stays in view and the joint within its limits, got {max(reach, 0.0):.3f} rad; cure: "
-            "put the target ahead of the head at rest"
+            f"the target stays in view and the joint within its limits, got {max(reach, 0.0):.3f} "
+            "rad; cure: put the target ahead of the head at rest"
         )
     return reach
