@@ -76,51 +76,6 @@ _REQUEST_ERRORS: Final = (
 """Errors that an invalid request raises."""
 
 
-class PseudoTerminal:
-    """The servos' end of a serial line, with a queue of timed answers.
-
-    `fd` is to be read from, -1 once the cable is pulled; `port` is the other end's device file.
-
-    Raises:
-        ConfigurationError: the system has no pseudo-terminals.
-    """
-
-    def __init__(self) -> None:
-        if sys.platform == "win32":
-            raise ConfigurationError(
-                "emulate: expected Linux or macOS, whose pseudo-terminals stand for a serial line"
-            )
-        import tty
-
-        self.fd, self._other = os.openpty()
-        tty.setraw(self._other)
-        self.port = os.ttyname(self._other)
-        self._due: list[tuple[float, int, bytes]] = []
-        self._count = 0
-
-    def send(self, data: bytes, at_s: float) -> None:
-        """Queue bytes to be sent at a time, see `flush`."""
-        self._count += 1  # keeps the order of bytes with equal times
-        heapq.heappush(self._due, (at_s, self._count, data))
-
-    @property
-    def due_s(self) -> float:
-        """Time at which the next bytes are due, s; inf for none."""
-        return self._due[0][0] if self._due else inf
-
-    def flush(self, now_s: float) -> None:
-        """Send the bytes that are due."""
-        while self.due_s <= now_s:
-            os.write(self.fd, heapq.heappop(self._due)[2])
-
-    def unplug(self) -> None:
-        """Pull the cable: the other end receives nothing more."""
-        self._due.clear()
-        os.close(self.fd)
-        os.close(self._other)
-        self.fd = -1
-
-
 def baud_rate_of(fd: int) -> int:
     """Baud rate set on a terminal, bit/s; 0 for one that servos or the system do not support."""
     import termios
@@ -136,30 +91,47 @@ class EmulatorServer:
         port: the device file of the line's other end.
         address: HOST:PORT for connections.
         streams: URL of the streams, set by the cameras' process; empty until then.
+
+    Raises:
+        ConfigurationError: the system has no pseudo-terminals.
     """
 
     def __init__(self, world: World, clock: Callable[[], float] = time.monotonic) -> None:
+        if sys.platform == "win32":
+            raise ConfigurationError(
+                "emulate: expected Linux or macOS, whose pseudo-terminals stand for a serial line"
+            )
+        import tty
+
         self._world, self._clock = world, clock
         self._parser = PacketParser()
-        self._terminal = PseudoTerminal()
-        self.port = self._terminal.port
+        self._line, self._other_end = os.openpty()
+        tty.setraw(self._other_end)
+        self.port = os.ttyname(self._other_end)
+        self._due: list[tuple[float, int, bytes]] = []  # answers with their times and numbers
+        self._answers = 0  # their number keeps the order of those with equal times
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         self.streams = ""
         self._exposed_s: deque[float] = deque(maxlen=_KEPT_EXPOSURES)
         # not epoll, whose timeout has a resolution of 1 ms
         self._selector = selectors.SelectSelector()
-        self._selector.register(self._terminal.fd, selectors.EVENT_READ, self._answer_line)
+        self._selector.register(self._line, selectors.EVENT_READ, self._answer_line)
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     def serve(self, until: Callable[[], bool], poll_s: float = 0.2) -> None:
         """Serve until `until`, which is polled at least every `poll_s`, returns True."""
         while not until():
-            due_s = min(self._terminal.due_s, self._world.faults.due_s)
+            due_s = min(self._due_s, self._world.faults.due_s)
             wait_s = min(max(due_s - self._clock(), 0.0), poll_s)
             for key, _ in self._selector.select(wait_s):
                 key.data()
             self._keep_up()
+
+    @property
+    def _due_s(self) -> float:
+        """Time at which the next answer is due, s; inf for none."""
+        return self._due[0][0] if self._due else inf
 
     def _keep_up(self) -> None:
         """Advance due faults and send due answers."""
@@ -169,23 +141,26 @@ class EmulatorServer:
         if self._world.faults.unplugged:
             self._unplug()
         # answers due soon are sent before the next request is served, which may take longer
-        left_s = self._terminal.due_s - now_s
+        left_s = self._due_s - now_s
         if 0.0 < left_s < _MAX_SEND_WAIT_S:
             time.sleep(left_s)
-        self._terminal.flush(self._clock())
+        now_s = self._clock()
+        while self._due_s <= now_s:
+            os.write(self._line, heapq.heappop(self._due)[2])
 
     def _answer_line(self) -> None:
-        fd = self._terminal.fd
-        if fd < 0:  # unplugged by a request of the same round
+        if self._line < 0:  # unplugged by a request of the same round
             return
-        data, rate = os.read(fd, _MAX_READ_BYTES), baud_rate_of(fd)
+        data, rate = os.read(self._line, _MAX_READ_BYTES), baud_rate_of(self._line)
         for packet in self._parser.feed(data):
             now_s = self._clock()
             sent = self._world.answer(packet, now_s, rate)
             # request and answer take time on the line
             count = len(data) + sum(len(answer) for _, answer in sent)
             for delay_s, answer in sent:
-                self._terminal.send(answer, now_s + delay_s + _BITS_PER_BYTE * count / rate)
+                self._answers += 1
+                at_s = now_s + delay_s + _BITS_PER_BYTE * count / rate
+                heapq.heappush(self._due, (at_s, self._answers, answer))
 
     def _accept(self) -> None:
         connection, (host, port) = self._listener.accept()
@@ -251,9 +226,12 @@ class EmulatorServer:
 
     def _unplug(self) -> None:
         """Pull the cable of the line; a second call does nothing."""
-        if self._terminal.fd >= 0:
-            self._selector.unregister(self._terminal.fd)
-            self._terminal.unplug()
+        if self._line >= 0:
+            self._selector.unregister(self._line)
+            self._due.clear()
+            os.close(self._line)
+            os.close(self._other_end)
+            self._line = -1
 
     def close(self) -> None:
         """Close the line and all connections."""
