@@ -21,12 +21,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from vergence.envs.targets.motion import (
-    MOTION,
-    is_shown,
-    motion_rows,
-    target_position,
-)
+from vergence.envs.targets.motion import MOTION, is_shown, motion_rows, target_position
 from vergence.errors import ConfigurationError
 from vergence.hardware.config import actuator_slots
 from vergence.hardware.dynamixel import control_table as table
@@ -47,6 +42,9 @@ from vergence.models.ruler import ServoModel, find_servo_model
 
 _RETURN_DELAY_UNIT_S: Final = 2e-6
 """Unit of RETURN_DELAY_TIME, s (physical: Dynamixel X series)."""
+_RETURN_LEVELS: Final[dict[int, int]] = {Instruction.PING: 0, Instruction.READ: 1}
+"""Least STATUS_RETURN_LEVEL with which an instruction is answered, if below 2 (physical: as
+above)."""
 
 
 class TimedAnswer(NamedTuple):
@@ -129,29 +127,28 @@ def _anded(answers: list[TimedAnswer]) -> TimedAnswer:
 
 def _execute(servo: EmulatedServo, packet: Packet) -> TimedAnswer | None:
     """Execute an instruction on one servo; answer it if the servo's return level asks for it."""
-    level, id = servo.get(table.STATUS_RETURN_LEVEL), servo.id
-    params, data, error, busy_s = packet.params, b"", 0, 0.0
-    least_level = 2
-    if packet.instruction == Instruction.PING:
-        least_level = 0
-        data = bytes(servo.memory.bytes[0:2]) + bytes(servo.memory.bytes[6:7])
-    elif packet.instruction == Instruction.READ:
-        least_level = 1
-        if len(params) == 4:
+    id, params = servo.id, packet.params
+    least_level = _RETURN_LEVELS.get(packet.instruction, 2)
+    quiet = servo.get(table.STATUS_RETURN_LEVEL) < least_level
+    data, error, busy_s = b"", 0, 0.0
+    match packet.instruction:
+        case Instruction.PING:
+            data = bytes(servo.memory.bytes[0:2]) + bytes(servo.memory.bytes[6:7])
+        case Instruction.READ if len(params) == 4:
             error, data = servo.read(_number(params, 0), _number(params, 2))
-        else:
+        case Instruction.WRITE if len(params) >= 2:
+            error = servo.write(_number(params, 0), params[2:])
+            if not error and _number(params, 0) < table.EEPROM_END:
+                busy_s = servo.eeprom_write_s
+        case Instruction.READ | Instruction.WRITE:
             error = ErrorNumber.DATA_LENGTH
-    elif packet.instruction == Instruction.WRITE:
-        short = len(params) < 2
-        error = ErrorNumber.DATA_LENGTH if short else servo.write(_number(params, 0), params[2:])
-        if not short and not error and _number(params, 0) < table.EEPROM_END:
-            busy_s = servo.eeprom_write_s
-    elif packet.instruction == Instruction.REBOOT:
-        servo.reboot()
-    else:
-        error = ErrorNumber.INSTRUCTION
-    quiet = level < least_level or (packet.id == BROADCAST and least_level > 0)
-    return None if quiet else _status(servo, id, data, error, busy_s)
+        case Instruction.REBOOT:
+            servo.reboot()
+        case _:
+            error = ErrorNumber.INSTRUCTION
+    if quiet or (packet.id == BROADCAST and least_level > 0):
+        return None
+    return _status(servo, id, data, error, busy_s)
 
 
 def _sync_read(servos: list[EmulatedServo], packet: Packet) -> Iterator[TimedAnswer]:
