@@ -1,17 +1,11 @@
-"""Questions to emulated servos and to a served world, in time that the test sets."""
-
-import threading
+"""Questions to a line of emulated servos, in time that the test sets."""
 
 import numpy as np
 
-from tests.hardware.fakes import FakeClock
 from tests.hardware.line import make_servo
-from vergence import load_head
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import Instruction, PacketParser, instruction_packet
-from vergence.hardware.emulator.client import WorldClient
-from vergence.hardware.emulator.server import EmulatorServer
-from vergence.hardware.emulator.world import ServoLine, World
+from vergence.hardware.emulator.world import ServoLine
 
 
 def ask(line, now_s, sent):
@@ -42,22 +36,3 @@ def turning(goal=100, mode=table.VELOCITY_MODE, **options):
 
 
 POINT = np.array([0.0, -0.1, 1.0])
-
-
-class Served:
-    def __init__(self, name="turrets", clock=None):
-        self.clock = clock or FakeClock()
-        self.world = World(load_head(name), POINT)
-        self.server = EmulatorServer(self.world, clock=self.clock)
-        self._over = threading.Event()
-        self._thread = threading.Thread(
-            target=self.server.serve, args=(self._over.is_set,), kwargs={"poll_s": 0.01}
-        )
-        self._thread.start()
-        self.client = WorldClient(self.server.address)
-
-    def close(self):
-        self.client.close()
-        self._over.set()
-        self._thread.join()
-        self.server.close()

@@ -26,6 +26,16 @@ from vergence.hardware.emulator.servo import REST_RAD_S, EmulatedServo, rest_sta
 from vergence.hardware.emulator.world import ServoLine
 
 NOBODY = instruction_packet(100, Instruction.PING)
+PING = instruction_packet(1, Instruction.PING)
+REBOOT = instruction_packet(1, Instruction.REBOOT)
+SYNC_READ = Packet(BROADCAST, Instruction.SYNC_READ, bytes((132, 0, 4, 0, 1, 2)))
+
+
+def guarded(periods):
+    """A line of one servo that turns, with its watchdog on since 0 s."""
+    line = turning(lower=-9.0, upper=9.0)
+    write(line, 0.0, 1, table.BUS_WATCHDOG, periods)
+    return line
 
 
 def test_a_joint_follows_its_velocity_goal_with_its_lag():
@@ -63,9 +73,7 @@ def test_the_reported_velocity_lags_by_its_filter():
 
 
 def test_the_watchdog_stops_a_servo_at_its_own_instant():
-    late, prompt = (turning(lower=-9.0, upper=9.0) for _ in range(2))
-    for line in (late, prompt):
-        write(line, 0.0, 1, table.BUS_WATCHDOG, 10)
+    late, prompt = guarded(10), guarded(10)
     late.advance_to(2.0)  # in one go, past the instant
     prompt.advance_to(0.2)
     assert prompt.watchdog_trips == late.watchdog_trips == 1
@@ -76,8 +84,7 @@ def test_the_watchdog_stops_a_servo_at_its_own_instant():
 
 
 def test_any_packet_on_the_line_feeds_the_watchdog():
-    line = turning(lower=-9.0, upper=9.0)
-    write(line, 0.0, 1, table.BUS_WATCHDOG, 10)
+    line = guarded(10)
     for now_s in np.arange(0.1, 1.0, 0.1):
         ask(line, now_s, NOBODY)
     assert line.watchdog_trips == 0
@@ -91,8 +98,7 @@ def test_a_watchdog_waits_while_torque_is_off():
 
 
 def test_a_tripped_watchdog_locks_goals_until_it_is_cleared():
-    line = turning()
-    write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
+    line = guarded(1)
     line.advance_to(0.1)
     assert read(line, 0.1, 1, table.BUS_WATCHDOG) == table.WATCHDOG_TRIPPED
     assert read(line, 0.1, 1, table.GOAL_VELOCITY) == 0
@@ -122,7 +128,7 @@ def test_writes_under_torque_are_checked():
 def test_the_status_return_level_says_what_is_answered():
     line = ServoLine([make_servo(1)])
     questions = [
-        instruction_packet(1, Instruction.PING),
+        PING,
         instruction_packet(1, Instruction.READ, bytes((0, 0, 2, 0))),
         instruction_packet(1, Instruction.WRITE, bytes((65, 0, 1))),
     ]
@@ -138,7 +144,7 @@ def test_an_unknown_instruction_is_an_error():
 
 def test_a_reboot_keeps_the_eeprom_alone():
     line = turning()
-    ask(line, 0.0, instruction_packet(1, Instruction.REBOOT))
+    ask(line, 0.0, REBOOT)
     servo = line.servos[0]
     assert servo.get(table.OPERATING_MODE) == table.VELOCITY_MODE
     assert servo.get(table.TORQUE_ENABLE) == servo.get(table.GOAL_VELOCITY) == 0
@@ -169,7 +175,7 @@ def test_a_pause_of_an_hour_takes_few_steps(goal, stops, monkeypatch):
 
 def test_answers_of_equal_ids_stay_intact_only_if_they_are_the_same():
     line = ServoLine([make_servo(1), make_servo(1, position_rad=0.5)])
-    assert [one.id for one in ask(line, 0.0, instruction_packet(1, Instruction.PING))] == [1]
+    assert [one.id for one in ask(line, 0.0, PING)] == [1]
     place = table.PRESENT_POSITION
     span = bytes((place.address, 0, place.length, 0))
     assert [one.id for one in line.answer(Packet(1, Instruction.READ, span), 0.0)] == [1]
@@ -184,11 +190,6 @@ def test_a_servo_obeys_its_secondary_id_without_an_answer():
     assert [one.id for one in write(line, 0.0, 1, table.PROFILE_VELOCITY, 7)] == [1]
     assert line.servos[1].get(table.PROFILE_VELOCITY) == 7
     assert read(line, 0.0, 2, table.PROFILE_VELOCITY) == 7
-
-
-PING = instruction_packet(1, Instruction.PING)
-REBOOT = instruction_packet(1, Instruction.REBOOT)
-SYNC_READ = Packet(BROADCAST, Instruction.SYNC_READ, bytes((132, 0, 4, 0, 1, 2)))
 
 
 def test_each_answer_waits_for_its_servos_return_delay():
@@ -206,8 +207,7 @@ def test_a_servo_hears_its_own_rate_alone():
 
 
 def test_what_a_servo_does_not_hear_does_not_feed_its_watchdog():
-    line = turning()
-    write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
+    line = guarded(1)
     line.answer(SYNC_READ, 0.01, 57_600)
     line.advance_to(0.02)
     assert line.watchdog_trips == 1
