@@ -21,9 +21,8 @@ from tests.hardware.emulated import emulated
 from tests.hardware.virtual import VirtualRobot, WatchedWorld, virtual_config
 from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
-from vergence.hardware.delay.measure import measure_loop
-from vergence.hardware.delay.measurement import LoopMeasurement
-from vergence.hardware.emulator.world import MotorOptions
+from vergence.hardware.delay.measure import LoopMeasurement, measure_loop
+from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, EYES
 
@@ -70,7 +69,7 @@ def measure_simulated(
     for eye, name in enumerate(EYE_NAMES):
         with pytest.MonkeyPatch.context() as patch:
             world = WatchedWorld(
-                HEAD, TARGET, MotorOptions(**motors), seed=2 * seed + eye,
+                HEAD, TARGET, EmulatorConfig(**motors), seed=2 * seed + eye,
                 latency_s=options["latency"], jitter_s=options["jitter"],
             )  # fmt: skip
             for servo in world.servos.values():

@@ -21,7 +21,7 @@ from tests.hardware.virtual import VirtualRobot, WatchedWorld, virtual_config
 from vergence import load_head
 from vergence.controllers.controller import make_controller
 from vergence.envs.task import GazeTask, run_trial
-from vergence.hardware.emulator.world import MotorOptions
+from vergence.hardware.emulator.config import EmulatorConfig
 
 LAWS: Final = ("state-feedback", "saccade")
 SETTLE_S: Final = 4.0
@@ -34,7 +34,7 @@ NOISE_PX: Final = 0.1
 """Detection noise, standard deviation, px (chosen: of a webcam)."""
 
 
-def errors_px(law: str, motors: MotorOptions, seed: int, head_name: str) -> NDArray[np.float64]:
+def errors_px(law: str, motors: EmulatorConfig, seed: int, head_name: str) -> NDArray[np.float64]:
     """Error of the worse eye after each control period of a trial, px."""
     head = load_head(head_name)
     low, high = (-0.3, -0.25, 0.5), (0.3, 0.2, 1.5)
@@ -76,7 +76,7 @@ class Row:
     exits: float
 
 
-def measure(law: str, motors: MotorOptions, seeds: Sequence[int], head: str = "turrets") -> Row:
+def measure(law: str, motors: EmulatorConfig, seeds: Sequence[int], head: str = "turrets") -> Row:
     """Run the trials of a law."""
     rate = load_head(head).timing.control_rate_hz
     settled, rest, exits = [], [], []
@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> None:
     seeds = range(options.seed, options.seed + options.trials)
     print(f"{'law':16}friction  settled  settle_s  error_px  exits")
     for friction in options.friction:
-        motors = MotorOptions(friction=friction, gravity=options.gravity, lag_s=options.lag)
+        motors = EmulatorConfig(friction=friction, gravity=options.gravity, lag_s=options.lag)
         for law in options.law:
             started_s = time.perf_counter()
             row = measure(law, motors, seeds, options.head)

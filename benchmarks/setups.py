@@ -22,7 +22,7 @@ from vergence import load_head
 from vergence.errors import VergenceError
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel.control_table import CENTRE_TICKS, TICK_RAD
-from vergence.hardware.emulator.world import MotorOptions
+from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.models.head import HeadModel
 
 POINT = np.array([0.03, -0.05, 0.9])
@@ -122,7 +122,7 @@ def right(head: HeadModel, seed: int) -> str:
     """Begin a trial of a drawn right head; return what is wrong with it, empty for nothing."""
     rng = np.random.default_rng((11, seed))
     timing = head.timing
-    motors = MotorOptions(
+    motors = EmulatorConfig(
         friction=rng.uniform(0.0, 0.08), gravity=rng.uniform(0.0, 0.15),
         lag_s=timing.lag_s * rng.uniform(0.6, 2.0), speed_gain=rng.uniform(0.85, 1.15),
         backlash_rad=rng.uniform(0.0, 0.005), command_latency_s=rng.uniform(0.0, 0.015),

@@ -21,7 +21,7 @@ from vergence.envs.observation import FIELDS, ObservationLayout
 from vergence.envs.plant import make_plant
 from vergence.errors import VergenceError
 from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.fault import load_faults
+from vergence.hardware.emulator.faults import load_faults
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALLER = {

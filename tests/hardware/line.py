@@ -9,9 +9,9 @@ import tty
 
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import PacketParser
-from vergence.hardware.emulator.line import ServoLine
+from vergence.hardware.emulator.server import baud_rate_of
 from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo
-from vergence.hardware.emulator.terminal import baud_rate_of
+from vergence.hardware.emulator.world import ServoLine
 
 
 def make_servo(id=1, **options):

@@ -12,8 +12,7 @@ from tests.hardware.test_config import document
 from vergence.errors import HardwareError, UnreadableFileError
 from vergence.hardware.config import load_hardware, write_servos
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.motor import Motor
-from vergence.hardware.emulator.servo import ENCODER_ERROR
+from vergence.hardware.emulator.servo import ENCODER_ERROR, Motor
 from vergence.hardware.jog import Jogger
 from vergence.models.toml_table import toml_text
 

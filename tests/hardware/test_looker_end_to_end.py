@@ -10,8 +10,8 @@ from tests.hardware.emulated import REAL_TIME, emulated
 from vergence import load_head
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.board import parse_sized_board, tilted_board_pose
 from vergence.hardware.emulator.client import WorldClient
+from vergence.hardware.emulator.server import parse_sized_board, tilted_board_pose
 from vergence.hardware.looker import RobotLooker
 from vergence.recording.looking import Looker
 

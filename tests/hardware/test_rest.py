@@ -8,7 +8,8 @@ from tests.hardware.fakes import HEAD
 from tests.hardware.virtual import VirtualRobot
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.world import MotorOptions, World
+from vergence.hardware.emulator.config import EmulatorConfig
+from vergence.hardware.emulator.world import World
 
 pytestmark = pytest.mark.slow
 BOUND_S, TRAVEL_RAD = 0.5, 0.5
@@ -16,7 +17,7 @@ BOUND_S, TRAVEL_RAD = 0.5, 0.5
 
 @pytest.fixture
 def robot(monkeypatch):
-    world = World(HEAD, np.array([0.0, -0.1, 1.0]), MotorOptions(friction=0.03))
+    world = World(HEAD, np.array([0.0, -0.1, 1.0]), EmulatorConfig(friction=0.03))
     return VirtualRobot(monkeypatch, world)
 
 

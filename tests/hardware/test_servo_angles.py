@@ -11,8 +11,8 @@ from vergence import load_head
 from vergence.hardware.config import actuator_slots
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.servos import DynamixelServos
-from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.servo import EmulatedServo
+from vergence.hardware.emulator.world import ServoLine
 from vergence.hardware.servos import JointAngles, ServoConfig, ServoReading
 
 TURRETS, ICUB = load_head("turrets"), load_head("icub")

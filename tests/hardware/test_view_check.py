@@ -11,7 +11,7 @@ from tests.naming import named
 from vergence import load_head
 from vergence.errors import ChecksFailedError, HardwareError
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.world import MotorOptions
+from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.view_check import Posture, Turn, ViewCheck, range_by_size
 from vergence.models.camera import Camera
 from vergence.vision.tracking import make_detector
@@ -160,7 +160,7 @@ def robot_before_a_target(monkeypatch, head=HEAD, motors=None, config=None, **op
 @pytest.mark.slow
 @pytest.mark.parametrize("head", [HEAD, pytest.param(ICUB, marks=pytest.mark.nightly)])
 def test_a_right_robot_with_friction_and_play_begins(monkeypatch, head):
-    motors = MotorOptions(friction=0.06, gravity=0.1, backlash_rad=0.004, speed_gain=0.87)
+    motors = EmulatorConfig(friction=0.06, gravity=0.1, backlash_rad=0.004, speed_gain=0.87)
     robot = robot_before_a_target(monkeypatch, head, motors)
     robot.begin()
     assert robot.plant.fault == ""

@@ -12,7 +12,7 @@ from vergence.hardware.config import BusConfig
 from vergence.hardware.drive import DriveThread
 from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import PacketParser
-from vergence.hardware.emulator.fault import parse_fault
+from vergence.hardware.emulator.faults import parse_fault
 from vergence.hardware.emulator.world import World
 from vergence.hardware.pairing import SearchedImage
 from vergence.hardware.plant import HardwarePlant

@@ -36,7 +36,7 @@ class Emulate:
             raise ConfigurationError(f"errors: expected a scale, 0 to 10, got {self.errors}")
         from vergence.eval.trials.twin_errors import TWIN_SPREADS
         from vergence.files import write_atomic
-        from vergence.hardware.emulator.emulator import emulate
+        from vergence.hardware.emulator.server import emulate
 
         def ready(text: str) -> None:
             if self.out is None:

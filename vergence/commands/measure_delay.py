@@ -18,7 +18,7 @@ from vergence.errors import ConfigurationError, HardwareError
 from vergence.files import atomic_file
 
 if TYPE_CHECKING:
-    from vergence.hardware.delay.measurement import LoopMeasurement
+    from vergence.hardware.delay.measure import LoopMeasurement
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -257,13 +257,15 @@ def read_bus(table: Table, head: HeadModel | None, path: str) -> BusConfig:
     port = table.text("port", _PORT)
     table.expect(port.isprintable(), "port", port, _PORT)
     rate = table.integer("baud_rate", _BAUD) if table.has("baud_rate") else BusConfig.baud_rate
-    times = _numbers(table, {"watchdog_s": _WATCHDOG})
-    if times and head is not None:
-        least_s = _WATCHDOG_PERIODS * head.timing.period_s
-        asked = f"at least {_WATCHDOG_PERIODS} control periods of {head.name}, {least_s:.3g} s"
-        table.expect(times["watchdog_s"] >= least_s, "watchdog_s", times["watchdog_s"], asked)
+    watchdog_s = BusConfig.watchdog_s
+    if table.has("watchdog_s"):
+        watchdog_s = table.number("watchdog_s", _WATCHDOG)
+        least_s = 0.0 if head is None else _WATCHDOG_PERIODS * head.timing.period_s
+        named = "" if head is None else f" of {head.name}"
+        asked = f"at least {_WATCHDOG_PERIODS} control periods{named}, {least_s:.3g} s"
+        table.expect(watchdog_s >= least_s, "watchdog_s", watchdog_s, asked)
     table.close()
-    return BusConfig(kind=kind, port=port, baud_rate=rate, **times)
+    return BusConfig(kind=kind, port=port, baud_rate=rate, watchdog_s=watchdog_s)
 
 
 def _own_bus(table: Table, kind: str, path: str) -> BusConfig:

@@ -19,7 +19,7 @@ from vergence.controllers.prediction.parameters import (
     PREDICTOR_PARAMETERS,
     pack_predictor_parameters,
 )
-from vergence.hardware.emulator.world import MotorOptions
+from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.kernels import row_layout
 
 HEAD = load_head("physical")
@@ -122,5 +122,5 @@ def test_a_joint_that_follows_its_commands_is_never_held():
 @pytest.mark.parametrize("law", ["saccade", "state-feedback"])
 def test_a_law_comes_to_rest_on_joints_with_friction(law, monkeypatch):
     monkeypatch.setattr("benchmarks.friction.STAY_S", 2.0)
-    error = errors_px(law, MotorOptions(friction=0.05), 2, "turrets")
+    error = errors_px(law, EmulatorConfig(friction=0.05), 2, "turrets")
     assert np.flatnonzero(error > BAND_PX)[-1] < SETTLE_S * 60.0

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import lsim, lti
 
-from vergence.hardware.delay.excitation import drift_corrected_velocities, excitation_speeds
 from vergence.hardware.delay.image_fit import fit_latency_and_backlash
-from vergence.hardware.delay.joint_fit import fit_joint, fitted_angle_path
-from vergence.hardware.delay.motor_model import FittedMotor, simulate_motor
+from vergence.hardware.delay.joint_fit import (
+    FittedMotor,
+    fit_joint,
+    fitted_angle_path,
+    simulate_motor,
+)
+from vergence.hardware.delay.measure import drift_corrected_velocities, excitation_speeds
 from vergence.models.head_file import load_head
 
 HEAD = load_head("turrets")

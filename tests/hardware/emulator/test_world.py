@@ -7,20 +7,73 @@ import numpy as np
 import pytest
 
 from tests.commands.test_failures import call
-from tests.hardware.emulator.served import POINT
+from tests.hardware.emulator.asking import POINT
 from tests.naming import named
 from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.board import parse_sized_board, tilted_board_pose
+from vergence.hardware.dynamixel.packets import (
+    BROADCAST,
+    Instruction,
+    Packet,
+    PacketParser,
+    status_packet,
+)
 from vergence.hardware.emulator.client import WorldClient
-from vergence.hardware.emulator.emulator import hardware_config_values
-from vergence.hardware.emulator.server import EmulatorServer
-from vergence.hardware.emulator.world import MotorOptions, World
+from vergence.hardware.emulator.faults import parse_fault
+from vergence.hardware.emulator.server import (
+    EmulatorServer,
+    hardware_config_values,
+    parse_sized_board,
+    tilted_board_pose,
+)
+from vergence.hardware.emulator.world import EmulatorConfig, TimedAnswer, World, apply_line_faults
 from vergence.models.head_file import head_to_toml
 from vergence.models.toml_table import toml_text
+
+RATE = 1_000_000
+TICKS = 20
+LATENCY_S = 0.015
+
+
+class Head:
+    """A world whose servos are in velocity mode, in time that the test sets."""
+
+    def __init__(self, torque=1, script=(), **config):
+        self.world = World(load_head("turrets"), POINT, EmulatorConfig(**config))
+        self.world.faults.schedule(self.fault(**one) for one in script)
+        for servo in self.world.line.servos:
+            servo.write(table.OPERATING_MODE.address, b"\1")
+        self.world.advance_to(0.0)
+        self.write(0.0, table.TORQUE_ENABLE, torque)
+
+    def fault(self, **values):
+        return parse_fault(values, self.world.ids, timed="at_s" in values)
+
+    def begin(self, now_s, **values):
+        self.world.begin_fault(self.fault(**values), now_s)
+
+    def write(self, now_s, register, value):
+        data = register.encode(value)
+        params = register.address.to_bytes(2, "little") + len(data).to_bytes(2, "little")
+        params += b"".join(bytes((id,)) + data for id in self.world.ids)
+        self.world.answer(Packet(BROADCAST, Instruction.SYNC_WRITE, params), now_s, RATE)
+
+    def turn(self, now_s, ticks=TICKS):
+        self.write(now_s, table.GOAL_VELOCITY, ticks)
+
+    def pings(self, now_s, rate=RATE):
+        return self.world.answer(Packet(BROADCAST, Instruction.PING, b""), now_s, rate)
+
+    def get(self, now_s, register, name="left_pan"):
+        self.world.advance_to(now_s)
+        return self.world.servos[name].get(register)
+
+    @property
+    def speeds(self):
+        return self.world.line.velocities()
 
 
 def test_a_target_is_where_it_was_put_until_it_is_placed(served):
@@ -124,7 +177,7 @@ def test_a_tied_heads_joints_are_its_actuators():
 
 
 def test_a_servo_model_moves_and_answers_as_itself():
-    servo = World(load_head("turrets"), POINT, MotorOptions(servo="XL330")).servos["left_pan"]
+    servo = World(load_head("turrets"), POINT, EmulatorConfig(servo="XL330")).servos["left_pan"]
     assert table.MODELS[servo.get(table.MODEL_NUMBER)] == "XL330-M288"
     assert servo.get(table.VELOCITY_LIMIT) * 0.229 == pytest.approx(103.0, abs=0.229)  # rev/min
     assert servo.acceleration == 144.0
@@ -167,3 +220,199 @@ def test_the_command_refuses_wrong_numbers_in_a_line(capsys):
             assert call("emulate", *words) == 2
             (line,) = capsys.readouterr().err.splitlines()
             assert said in line
+
+
+def test_return_delays_add_up_on_the_line():
+    head = Head()
+    for servo in head.world.line.servos:
+        servo.set(table.RETURN_DELAY_TIME, 250)
+    assert [delay_s for delay_s, _ in head.pings(0.0)] == [pytest.approx(4 * 500e-6)]
+
+
+def test_a_fault_ends_at_its_own_instant():
+    late, prompt = Head(), Head()
+    for head in (late, prompt):
+        head.begin(1.0, what="stuck", ids=[1], for_s=0.5)
+        head.turn(1.0)
+    late.world.advance_to(2.0)  # in one go, past the end
+    prompt.world.advance_to(1.5)
+    assert prompt.speeds[0] == 0.0
+    assert prompt.speeds[1] > 0.1
+    prompt.world.advance_to(2.0)
+    assert late.world.line.positions() == pytest.approx(prompt.world.line.positions())
+    assert late.speeds[0] > 0.1
+
+
+def test_what_a_servo_measures_is_well_again_after_the_fault():
+    head = Head()
+    head.begin(0.0, what="voltage", ids=[1], value=10.5, for_s=1.0)
+    head.begin(0.0, what="load", ids=[1], value=-45.0, for_s=1.0)
+    head.begin(0.0, what="temperature", ids=[1], value=60, for_s=1.0)
+    asked = (table.PRESENT_INPUT_VOLTAGE, table.PRESENT_LOAD, table.PRESENT_TEMPERATURE)
+    assert [head.get(0.5, register) for register in asked] == [105, -450, 60]
+    assert [head.get(1.5, register) for register in asked] == [120, 0, 31]
+
+
+def test_a_servo_that_shuts_down_or_reboots_lets_go_at_that_instant():
+    for fault in ({"what": "overload"}, {"what": "temperature", "value": 90}, {"what": "reboot"}):
+        head = Head()
+        head.turn(0.0)
+        head.begin(0.5, ids=[1], **fault)
+        with named(fault):
+            assert [one.get(table.TORQUE_ENABLE) for one in head.world.line.servos] == [0, 1, 1, 1]
+            head.world.advance_to(2.0)
+            assert head.speeds[0] == pytest.approx(0.0, abs=1e-6)
+            assert head.speeds[1] > 0.1
+
+
+def test_a_silent_servo_does_not_answer_until_it_is_cleared():
+    head = Head()
+    (_, all_four), *_ = head.pings(0.0)
+    head.begin(0.0, what="silent", ids=[3])
+    (_, three), *_ = head.pings(0.1)
+    assert len(three) == 0.75 * len(all_four)
+    head.world.clear_faults(0.2)
+    assert head.pings(0.2) == [(0.0, all_four)]
+
+
+def test_a_script_counts_from_the_torque_on():
+    head = Head(torque=0, script=[{"what": "stuck", "at_s": 1.0, "for_s": 0.5}])
+    head.world.advance_to(5.0)
+    head.write(5.0, table.TORQUE_ENABLE, 1)
+    head.turn(5.0)
+    stuck = []
+    for now_s in (5.9, 6.1, 6.6):
+        head.world.advance_to(now_s)
+        stuck.append(head.world.servos["left_pan"].stuck)
+    assert stuck == [False, True, False]
+
+
+def test_a_client_is_told_when_its_fault_began(served):
+    served.clock.now = 120.0
+    assert served.client.begin_fault(what="stuck", ids=[1], for_s=0.4) == 120.0
+    with pytest.raises(HardwareError, match=r"^emulator: fault\.what: expected one of bad-crc, "):
+        served.client.begin_fault(what="broken")
+
+
+def test_cameras_learn_of_their_faults_with_the_next_exposure_until_they_are_cleared(served):
+    served.client.begin_fault(what="late", eye="right", value=0.5)
+    served.client.begin_fault(what="stuck")
+    exposure = served.client.ask({"expose": None})
+    assert exposure["faults"] == [{"what": "late", "eye": "right", "value": 0.5}]
+    served.client.clear_faults()
+    assert served.client.ask({"expose": None})["faults"] == []
+
+
+@pytest.fixture
+def turning(served):
+    """The first servo of a served world, which turns since now."""
+    served.client.ask({"record": None})
+    servo = served.world.servos["left_pan"]
+    servo.write(table.OPERATING_MODE.address, b"\1")
+    servo.write(table.TORQUE_ENABLE.address, b"\1")
+    servo.set(table.GOAL_VELOCITY, 50)
+    return servo
+
+
+def test_a_client_is_told_from_when_on_the_joints_rest(served, turning):
+    start_s = served.clock.now
+    served.clock.sleep(0.3)
+    assert served.client.rest_start_s(start_s) is None
+    began_s = served.client.begin_fault(what="overload", ids=[1])
+    served.clock.sleep(1.0)
+    assert began_s + 0.03 < served.client.rest_start_s(began_s) < began_s + 0.5
+    assert served.client.ask({"rest": {"since": began_s}})["fastest"] > 1.0
+
+
+def test_the_record_has_each_joint_since_the_last_call(served, turning):
+    started_s = served.clock.now
+    served.clock.sleep(0.1)
+    record = served.client.ask({"record": None})["left_pan"]
+    assert record["times"][0] == started_s
+    assert np.diff(record["times"]).max() <= 0.002 + 1e-9
+    assert record["velocities"][-1] == pytest.approx(turning.v)
+    assert record["positions"][-1] == pytest.approx(turning.q)
+
+
+IMPERFECT = {
+    "lag_s": 0.02, "speed_gain": 0.5, "command_latency_s": LATENCY_S, "backlash_rad": 0.01,
+    "acceleration_rad_s2": 1000.0,
+}  # fmt: skip
+
+
+def test_a_command_acts_when_its_latency_has_passed():
+    head = Head(**IMPERFECT)
+    head.world.advance_to(LATENCY_S)  # the torque is on
+    head.turn(0.1)
+    assert head.world.state(0.1 + LATENCY_S)["velocities"][3] == 0.0
+    after = head.world.state(0.1 + LATENCY_S + 0.02)["velocities"][3]
+    assert after == pytest.approx(0.5 * TICKS * table.TICK_RAD_S * (1.0 - np.exp(-1.0)), rel=1e-3)
+
+
+def test_what_servos_report_is_as_old_as_their_feedback():
+    late_s = 0.0125
+    now, late = Head(), Head(feedback_latency_s=late_s)
+    for head in (now, late):
+        head.turn(0.1)
+
+    def reported(head, at_s):
+        head.world.advance_to(at_s)
+        head.world.line.servos[0].read(table.PRESENT_POSITION.address, 4)
+        return [head.get(at_s, one) for one in (table.PRESENT_POSITION, table.PRESENT_VELOCITY)]
+
+    for at_s in (0.1, 0.13, 0.2, 1.0):  # at rest, gathering speed, steady
+        assert reported(late, at_s + late_s) == pytest.approx(reported(now, at_s), abs=1)
+    true = [head.world.state(1.1)["positions"] for head in (now, late)]
+    assert true[1] == pytest.approx(true[0])
+
+
+def test_play_lets_the_camera_stay_behind_and_the_encoder_sees_none():
+    head = Head(**IMPERFECT)
+    for now_s, side in ((0.1, 1), (1.0, -1)):
+        head.turn(now_s, side * TICKS)
+        state = head.world.state(now_s + 0.9)
+        assert state["motors"][3] - state["positions"][3] == pytest.approx(side * 0.005)
+
+
+ANSWERS = [TimedAnswer(id, 0.0, status_packet(id, b"abcd")) for id in (1, 2, 3)]
+
+
+def sent(*faults, seed=0):
+    made = [parse_fault(fault, (1, 2, 3), timed=False) for fault in faults]
+    return apply_line_faults(ANSWERS, made, np.random.default_rng(seed))
+
+
+def heard(data):
+    return [packet.id for packet in PacketParser().feed(data)]
+
+
+def test_without_faults_all_goes_out_in_one_piece():
+    assert sent() == [(0.0, b"".join(answer.data for answer in ANSWERS))]
+
+
+def test_a_fault_meets_the_answer_of_its_servo_alone():
+    without, twice = [1, 3], [1, 2, 2, 3]
+    for what, ids in (
+        ("bad-crc", without), ("short", without), ("lost", without), ("doubled", twice),
+    ):  # fmt: skip
+        ((late_s, data),) = sent({"what": what, "ids": [2]})
+        assert late_s == 0.0
+        assert heard(data) == ids, what
+
+
+def test_a_late_answer_holds_up_no_other():
+    on_time, late = sent({"what": "late", "ids": [1], "value": 0.02})
+    assert (on_time[0], heard(on_time[1])) == (0.0, [2, 3])
+    assert (late[0], heard(late[1])) == (0.02, [1])
+    assert [late_s for late_s, _ in sent({"what": "late"})] == [0.012]
+
+
+def test_each_answer_is_met_with_the_faults_probability():
+    fault = {"what": "lost", "probability": 0.25}
+    answers = sum(len(heard(b"".join(data for _, data in sent(fault, seed=i)))) for i in range(400))
+    # 1200 draws: 900 expected, with a standard deviation of 15
+    assert 840 < answers < 960
+
+
+def test_all_may_be_lost():
+    assert sent({"what": "lost"}) == []

@@ -67,9 +67,8 @@ class ImageFit:
     @property
     def least_latency_sigma_s(self) -> float:
         """Its standard deviation, s."""
-        if self.jitter_s is None:
-            return self.latency_sigma_s
-        return float(np.hypot(self.latency_sigma_s, 0.5 * self.jitter_sigma_s))
+        jitter_sigma_s = 0.0 if self.jitter_s is None else self.jitter_sigma_s
+        return float(np.hypot(self.latency_sigma_s, 0.5 * jitter_sigma_s))
 
 
 def fit_latency_and_backlash(
@@ -84,14 +83,14 @@ def fit_latency_and_backlash(
     target_guess: FloatArray,
     blur_speed_rad_s: float,
 ) -> ImageFit | None:
-    """Fit latency, jitter and backlash to one eye's pixels while an actuator turned.
+    """Fit latency, jitter and backlash to one eye's pixels while the actuator of a slot turned.
 
     The target's position and the image scale are estimated too.
 
     Args:
         head: the model.
         eye: 0 for left.
-        slot: index in the 7-element command of the actuator that turned.
+        slot: index in the 7-element command.
         fixed_actuator_angles: (7,) angles of neck and actuators, for those that did not turn, rad.
         angle_at: the actuator's angle by time.
         path_span_s: first and last time of the path, s.
@@ -106,7 +105,6 @@ def fit_latency_and_backlash(
     grid = np.arange(*path_span_s, _TIME_STEP_S)
     angles = angle_at(grid)
     speeds = np.gradient(angles, _TIME_STEP_S)
-
     centre = head.cameras.principal[eye]
 
     def predicted(
@@ -129,8 +127,7 @@ def fit_latency_and_backlash(
         return float(np.abs(residual).sum())
 
     coarse = min(np.arange(0.0, _MAX_LATENCY_S, 0.01), key=spread)
-    slow = np.abs(np.interp(received_s[seen] - coarse, grid, speeds)) < blur_speed_rad_s
-    seen = seen[slow]
+    seen = seen[np.abs(np.interp(received_s[seen] - coarse, grid, speeds)) < blur_speed_rad_s]
     if len(seen) < 30:
         return None
     away = float(np.linalg.norm(target_guess))
@@ -141,14 +138,7 @@ def fit_latency_and_backlash(
         return np.concatenate([residual.ravel() / noise, values[2:] / before])
 
     noise = 0.3
-    before = np.array(
-        [
-            _POSITION_PRIOR_FRACTION,
-            _POSITION_PRIOR_FRACTION,
-            _POSITION_PRIOR_FRACTION,
-            _SCALE_PRIOR_SIGMA,
-        ]
-    )
+    before = np.array([*[_POSITION_PRIOR_FRACTION] * 3, _SCALE_PRIOR_SIGMA])
     start = np.array([coarse, 1e-3, 0.0, 0.0, 0.0, 0.0])
     for _ in range(2):  # again with the estimated noise
         found = least_squares(
@@ -159,14 +149,8 @@ def fit_latency_and_backlash(
         residual = noise * weighted_residual(found.x)[: -len(before)].reshape(-1, 2)
         noise = max(1.4826 * float(np.median(np.abs(residual))), _MIN_SIGMA_PX)
     clusters = ((received_s[seen] - received_s[seen][0]) / CLUSTER_S).astype(np.int64)
-    covariance = jackknife_covariance(
-        np.asarray(found.jac),
-        found.fun,
-        np.repeat(clusters, 2),
-        _LOSS_SCALE,
-        prior_count=len(before),
-    )
-    sigma = np.sqrt(np.diagonal(covariance))
+    evidence = np.asarray(found.jac), found.fun, np.repeat(clusters, 2)
+    sigma = np.sqrt(np.diagonal(jackknife_covariance(*evidence, _LOSS_SCALE, len(before))))
     at, scale = target_guess + away * found.x[2:5], 1.0 + float(found.x[5])
     ahead, behind = (
         predicted(found.x[0] + late_s, abs(found.x[1]), at, scale) for late_s in (-0.001, 0.001)
@@ -201,10 +185,7 @@ def _jitter(
 ) -> tuple[float | None, float]:
     """Width of the distribution of latencies, None if unobservable, and its standard deviation, s.
 
-    Args:
-        residual: (n, 2) measured minus predicted pixels, px.
-        velocity: (n, 2) image velocity of the target, px/s.
-        clusters: (n,) index of the cluster in which residuals are dependent.
+    From (n, 2) residuals, px, image velocities of the target, px/s, and (n,) dependent clusters.
     """
     speed = np.linalg.norm(velocity, axis=-1)
     if (speed > _MIN_DELAY_SPEED_PX_S).sum() < 10:

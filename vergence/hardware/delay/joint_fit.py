@@ -4,19 +4,112 @@
 
 is integrated with the commands as they were sent, and its angle is compared with the encoder's. A
 linear drift over each second, as the integral of speeds has one, is removed from the residuals.
-Where a motor with friction, see `motor_model`, fits clearly better, its values are taken.
+Where a motor with friction, see `FittedMotor`, fits clearly better, its values are taken.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import exp
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
 from vergence.envs.streams import IntArray
-from vergence.hardware.delay.motor_model import FittedMotor, simulate_motor
+from vergence.kernels import compiled
 from vergence.models.parts import FloatArray
+
+_STEP_S: Final = 1e-3
+"""Integration step, s: a tenth of a short lag, which is exact but at the limits (numerical)."""
+
+
+class FittedMotor(NamedTuple):
+    """The model of a motor that is fitted: a velocity PI, its limits, and friction.
+
+    With the velocity v, the goal u = g times the command after a latency, and the error e = u - v,
+
+        dv/dt = clip(d - b v, -a, a) - l - friction
+        d = clip((e + r I) / lag, -c a, c a),   dI/dt = e
+
+    Friction opposes the motion by f; at rest it holds up to s f. The integral stops where the drive
+    is at its limit c a and e would raise it. With r = b, friction and limits aside, this is a lag,
+    and friction acts until the integral has made up for it, for 1 / r.
+    """
+
+    latency_s: float
+    """Latency from a command to its response in the encoder readings, s."""
+    lag_s: float
+    gain: float
+    """Steady-state speed per commanded speed."""
+    inverse_acceleration: float
+    """Inverse of the greatest acceleration, s^2/rad."""
+    friction_rad_s2: float = 0.0
+    """Coulomb friction, f, as an acceleration."""
+    integral_rate: float = 0.0
+    """Rate of the PI's integral, r, 1/s."""
+    emf_rate: float = 0.0
+    """Rate at which the motor comes to rest without drive, b, 1/s."""
+    load_rad_s2: float = 0.0
+    """Constant load, l, as an acceleration."""
+    static_ratio: float = 1.5
+    """Static friction per Coulomb friction, s."""
+    drive_ratio: float = 1.5
+    """Greatest drive per greatest acceleration, c."""
+
+
+def simulate_motor(
+    motor: FittedMotor, sent_s: FloatArray, commands: FloatArray, times: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(m,) angles, rad, and speeds, rad/s, at increasing times, of a motor at rest at first."""
+    found = np.empty((2, len(times)))
+    _simulate(np.array(motor, dtype=np.float64), sent_s, motor.gain * commands, times, found)
+    return found[0], found[1]
+
+
+@compiled
+def _simulate(
+    parameters: FloatArray, sent_s: FloatArray, goals: FloatArray, times: FloatArray,
+    found: FloatArray,
+) -> None:  # fmt: skip
+    latency, lag, _, inverse, friction, rate, emf, load, static_ratio, ratio = parameters
+    limit, static = 1.0 / inverse, static_ratio * friction
+    most, slowing = ratio * limit, 1.0 / lag + emf
+    q, v, u, k = 0.0, 0.0, 0.0, 0
+    integral = load * lag / rate if rate > 0.0 else 0.0  # which holds the load
+    at = min(sent_s[0] + latency, times[0])
+    # the steps do not depend on the times of the result: whether a joint sticks may hang on them
+    for place in range(len(sent_s) + 1):
+        until = sent_s[place] + latency if place < len(sent_s) else times[-1]
+        steps = int(max(until - at, 0.0) / _STEP_S) + 1
+        step = (until - at) / steps
+        slide = (1.0 - exp(-slowing * step)) / slowing
+        for _ in range(steps):
+            error = u - v
+            drive = (error + rate * integral) / lag
+            limited = abs(drive) >= most
+            if not limited or drive * error < 0.0:
+                integral += step * error
+            force = min(max(drive, -most), most) - emf * v
+            limited |= abs(force) > limit
+            force = min(max(force, -limit), limit) - load
+            after = v
+            if v != 0.0 or abs(force) > static:
+                side = 1.0 if (v if v != 0.0 else force) > 0.0 else -1.0
+                after += (force - side * friction) * (step if limited else slide)
+                if friction > 0.0 and (v * after < 0.0 or (v == 0.0 and side * after < 0.0)):
+                    after = 0.0  # it stops where it turns round
+            while k < len(times) and times[k] <= at + step:
+                since = times[k] - at
+                then = v + (after - v) * since / step if step > 0.0 else v
+                found[0, k], found[1, k] = q + 0.5 * (v + then) * since, then
+                k += 1
+            q += 0.5 * (v + after) * step
+            v = after
+            at += step
+        at = until
+        u = goals[min(place, len(goals) - 1)]
+    found[0, k:], found[1, k:] = q, v  # after rounding
+
 
 CLUSTER_S: Final = 1.0
 """Length of clusters in which drift is removed and residuals count as dependent, s (chosen)."""
@@ -57,15 +150,12 @@ _SEARCHED: Final = (
 )  # fmt: skip
 """Least and greatest start value of each parameter (chosen: of plausible servos)."""
 _DRAWN: Final = 300
-"""Number of first draws of the search (numerical)."""
 _DRAWN_AGAIN: Final = 150
-"""Number of draws in each of its further rounds (numerical)."""
 _KEPT: Final = 25
-"""Number of best draws, about which it draws again (numerical)."""
 _SEARCH_ROUNDS: Final = 6
-"""Number of its rounds (numerical)."""
 _SEARCHES: Final = 4
-"""Number of searches, of which the best counts (numerical)."""
+"""Numbers of first draws of a search, of draws in each further round and of the best draws about
+which they are, of these rounds, and of searches, of which the best counts (numerical)."""
 _ALIKE: Final = 1.15
 """Misfit per the least one with which a search's end is as good as the best (chosen)."""
 _FEW_EVALUATIONS: Final = 12
@@ -114,12 +204,9 @@ class JointFit:
     @property
     def acceleration_rad_s2(self) -> float | None:
         """Acceleration limit of the motor, rad/s^2; None if it was not reached."""
-        certain = (
-            self.sigma.inverse_acceleration < _MAX_RELATIVE_SIGMA * self.motor.inverse_acceleration
-        )
-        return (
-            1.0 / self.motor.inverse_acceleration if self.acceleration_limited and certain else None
-        )
+        inverse, sigma = self.motor.inverse_acceleration, self.sigma.inverse_acceleration
+        certain = self.acceleration_limited and sigma < _MAX_RELATIVE_SIGMA * inverse
+        return 1.0 / inverse if certain else None
 
     @property
     def friction_ratio(self) -> float | None:
@@ -130,7 +217,7 @@ class JointFit:
 
     @property
     def acceleration_sigma(self) -> float:
-        """Its standard deviation, rad/s^2."""
+        """Standard deviation of the acceleration limit, rad/s^2."""
         return self.sigma.inverse_acceleration / self.motor.inverse_acceleration**2
 
 
@@ -184,8 +271,6 @@ def fit_joint(
 
 
 class _Fit(NamedTuple):
-    """Result of one fit."""
-
     data: "_Data"
     motor: FittedMotor
     sigma: FloatArray
@@ -314,15 +399,11 @@ class _Data:
             return np.append(weights * self.residual(found), before)
 
         found = least_squares(
-            weighted_residual,
-            _OFFSET + np.clip(np.array(start)[chosen], least, most) / unit,
-            bounds=(_OFFSET + least / unit, _OFFSET + most / unit),
-            loss="soft_l1",
-            f_scale=_LOSS_SCALE,
-            jac="3-point",
-            diff_step=[0.1 / _OFFSET] * len(unit),
+            weighted_residual, _OFFSET + np.clip(np.array(start)[chosen], least, most) / unit,
+            bounds=(_OFFSET + least / unit, _OFFSET + most / unit), loss="soft_l1",
+            f_scale=_LOSS_SCALE, jac="3-point", diff_step=[0.1 / _OFFSET] * len(unit),
             max_nfev=evaluations,
-        )
+        )  # fmt: skip
         return motor(found.x), found, unit
 
 
@@ -332,26 +413,22 @@ class _Detrender:
     def __init__(self, times: FloatArray, clusters: IntArray) -> None:
         self._clusters = clusters
         self._counts = np.maximum(np.bincount(clusters), 1)
-        self._times = times - self._mean(times)[clusters]
+        self._times = times - self._mean(times)
         self._squares = np.maximum(np.bincount(clusters, self._times**2), 1e-12)
 
     def _mean(self, values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(self._clusters, values) / self._counts)
+        return np.asarray((np.bincount(self._clusters, values) / self._counts)[self._clusters])
 
     def detrended(self, values: FloatArray) -> FloatArray:
         """Subtract a fitted straight line from the values of each cluster."""
         slopes = np.bincount(self._clusters, values * self._times) / self._squares
-        lines = self._mean(values)[self._clusters] + slopes[self._clusters] * self._times
-        return np.asarray(values - lines)
+        return np.asarray(values - (self._mean(values) + slopes[self._clusters] * self._times))
 
 
 def jackknife_covariance(
-    jacobian: FloatArray,
-    residual: FloatArray,
-    clusters: IntArray,
-    loss_scale: float,
-    prior_count: int = 0,
-) -> FloatArray:
+    jacobian: FloatArray, residual: FloatArray, clusters: IntArray, loss_scale: float,
+    prior_count: int,
+) -> FloatArray:  # fmt: skip
     """Covariance of a least-squares estimate whose residuals depend on their neighbours.
 
     It is the jackknife over clusters, from the linearised change of the estimate without each of
@@ -364,9 +441,6 @@ def jackknife_covariance(
         clusters: (m - known,) index of each residual's cluster.
         loss_scale: `f_scale` of the loss.
         prior_count: number of priors with standard deviation 1, which are the last residuals.
-
-    Returns:
-        (p, p) covariance.
     """
     whole, measured = jacobian.T @ jacobian, len(residual) - prior_count
     scaled = residual * (1.0 + (residual / loss_scale) ** 2) ** 0.25
@@ -385,26 +459,13 @@ def jackknife_covariance(
 
 
 def fitted_angle_path(
-    motor: FittedMotor,
-    sent_s: FloatArray,
-    commands: FloatArray,
-    joints_s: FloatArray,
+    motor: FittedMotor, sent_s: FloatArray, commands: FloatArray, joints_s: FloatArray,
     angles: FloatArray,
-) -> Callable[[FloatArray], FloatArray]:
-    """Angle of the actuator by time: the model, corrected by the smoothed encoder residuals.
+) -> Callable[[FloatArray], FloatArray]:  # fmt: skip
+    """Angle of the actuator by increasing times: the model, corrected by smoothed residuals.
 
     A poor model is corrected at each reading, a good one over many: the width of the smoothing is
-    the one that best predicts each reading from the others.
-
-    Args:
-        motor: its fitted parameters.
-        sent_s: see `fit_joint`.
-        commands: see `fit_joint`.
-        joints_s: see `fit_joint`.
-        angles: see `fit_joint`.
-
-    Returns:
-        A function of increasing times, s, that returns angles, rad.
+    the one that best predicts each reading from the others. For the readings see `fit_joint`.
     """
     residual = angles - simulate_motor(motor, sent_s, commands, joints_s)[0]
     found = []

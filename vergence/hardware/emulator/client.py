@@ -65,11 +65,7 @@ class WorldClient:
         )
 
     def place_target(self, motion: FloatArray) -> None:
-        """Place a target at the start of its motion; `begin` starts the motion.
-
-        Args:
-            motion: (MOTION or more,) see `vergence.envs.targets.motion`.
-        """
+        """Place a target at the start of a motion, see `vergence.envs.targets.motion`."""
         self.ask({"show": motion.tolist()})
 
     def start_target_motion(self, now_s: float) -> None:
@@ -77,14 +73,7 @@ class WorldClient:
         self.ask({"begin": now_s})
 
     def begin_fault(self, **request: Any) -> float:
-        """Begin a fault, see `vergence.hardware.emulator.fault`.
-
-        Returns:
-            Time at which it began, s of the monotonic clock.
-
-        Raises:
-            HardwareError: there is no such fault.
-        """
+        """Begin a fault, see `vergence.hardware.emulator.faults`; return when, s."""
         return float(self.ask({"fault": request})["time"])
 
     def clear_faults(self) -> None:
@@ -92,23 +81,17 @@ class WorldClient:
         self.ask({"clear": None})
 
     def rest_start_s(self, since: float) -> float | None:
-        """Start of the present rest: since then no joint has turned faster than 0.024 rad/s.
+        """Time since when, from a time at most 20 s ago on, all joints rest; None if one turns.
 
-        Args:
-            since: earliest time to return, s of the monotonic clock, at most 20 s ago.
-
-        Returns:
-            The time, s of the monotonic clock; None while a joint turns.
+        At rest a joint turns at 0.024 rad/s at most. Times are of the monotonic clock, s.
         """
         rested_s: float | None = self.ask({"rest": {"since": since}})["rested_s"]
         return rested_s
 
     def truth(self, head: HeadModel, time_s: float) -> Truth:
-        """Present ground truth.
+        """Present ground truth, with the pixel errors of the model that the controller uses.
 
-        Args:
-            head: the model that the controller uses, for the pixel errors.
-            time_s: time since the trial's start, s.
+        `time_s` is the time since the trial's start.
         """
         told = self.ask({"state": None})
         truth = Truth.unknown(1)

@@ -1,6 +1,7 @@
 """Configuration of an emulated head; also the options of `vergence emulate`."""
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
@@ -11,6 +12,21 @@ from vergence.errors import ConfigurationError
 
 _MAX_TIME_S: Final = 10.0
 """Greatest value of options that are times, s (chosen)."""
+_DELAYS: Final = (
+    "latency_s", "jitter_s", "right_late_s", "speed_filter_s", "lag_s", "command_latency_s",
+    "feedback_latency_s", "answer_latency_s",
+)  # fmt: skip
+_RANGES: Final = {
+    "lag_s": (1e-3, _MAX_TIME_S), "acceleration_rad_s2": (0.1, 1e4), "speed_gain": (0.01, 2.0),
+    "backlash_rad": (0.0, 0.2), "friction": (0.0, 0.5), "gravity": (0.0, 0.5),
+    "board_distance_m": (0.1, 20.0),
+}  # fmt: skip
+"""Least and greatest value of other options (chosen)."""
+
+
+def _option(name: str) -> str:
+    """Option of the command for a field."""
+    return re.sub("_(s|rad|rad_s2|m)$", "", name).replace("_", "-")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,30 +104,16 @@ class EmulatorConfig:
     """Random seed of image noise, jitter, faults and head errors."""
 
     def __post_init__(self) -> None:
-        times = ("latency_s", "jitter_s", "right_late_s", "speed_filter_s", "lag_s")
-        for name in (*times, "command_latency_s", "feedback_latency_s", "answer_latency_s"):
+        for name in _DELAYS:
             value = getattr(self, name)
             if value is not None and not 0.0 <= value < _MAX_TIME_S:
-                raise ConfigurationError(
-                    f"{name.removesuffix('_s').replace('_', '-')}: expected seconds, 0 to "
-                    f"{_MAX_TIME_S:g}, got {value}"
-                )
-        for name, least, most in (
-            ("lag_s", 1e-3, _MAX_TIME_S),
-            ("acceleration_rad_s2", 0.1, 1e4),
-            ("speed_gain", 0.01, 2.0),
-            ("backlash_rad", 0.0, 0.2),
-            ("friction", 0.0, 0.5),
-            ("gravity", 0.0, 0.5),
-            ("board_distance_m", 0.1, 20.0),
-        ):
+                said = f"expected seconds, 0 to {_MAX_TIME_S:g}, got {value}"
+                raise ConfigurationError(f"{_option(name)}: {said}")
+        for name, (least, most) in _RANGES.items():
             value = getattr(self, name)
             if value is not None and not least <= value <= most:
-                option = name.removesuffix("_s").removesuffix("_rad").removesuffix("_rad_s2")
-                option = option.removesuffix("_m")
-                raise ConfigurationError(
-                    f"{option.replace('_', '-')}: expected {least:g} to {most:g}, got {value}"
-                )
+                said = f"expected {least:g} to {most:g}, got {value}"
+                raise ConfigurationError(f"{_option(name)}: {said}")
         if self.board is not None and (self.scene is not None or self.wall is not None):
             raise ConfigurationError("scene: expected no --board beside it, got both")
         if self.servo is not None:

@@ -1,35 +1,224 @@
-"""The world of an emulated head: its servos and their faults, and the target before it.
+"""The world of an emulated head: its servos on their line, their faults, and the target before it.
 
 Joints move by the package's joint law, computed on demand and exactly: each request first advances
-them to the present, in pieces between the instants at which faults begin and end.
+them to the present, in pieces between the instants at which faults begin and end. Nothing here
+reads a clock or does I/O.
+
+Servos with the same id answer at the same time. On the line a 0 overrides a 1, so what arrives is
+the AND of their bytes: it stays intact if all send the same, as to a ping, and else is damaged. A
+servo obeys what is written to its SECONDARY_ID, without an answer.
+
+Not emulated, and answered with an error: registered instructions, fast and bulk reads.
 """
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator
+from functools import reduce
+from itertools import zip_longest
 from math import ceil
-from typing import Any, Final
+from operator import and_
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from vergence.envs.targets.motion import (
-    MOTION,
-    is_shown,
-    motion_rows,
-    target_position,
-)
+from vergence.envs.targets.motion import MOTION, is_shown, motion_rows, target_position
 from vergence.errors import ConfigurationError
 from vergence.hardware.config import actuator_slots
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.packets import Instruction, Packet
-from vergence.hardware.emulator.fault import Fault
-from vergence.hardware.emulator.faults import ActiveFaults
-from vergence.hardware.emulator.line import ServoLine
-from vergence.hardware.emulator.line_faults import apply_line_faults
-from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo
-from vergence.hardware.emulator.trace import rest_start_and_top_speed
+from vergence.hardware.dynamixel.packets import (
+    ALERT,
+    BROADCAST,
+    ErrorNumber,
+    Instruction,
+    Packet,
+    status_packet,
+)
+from vergence.hardware.emulator.config import EmulatorConfig
+from vergence.hardware.emulator.faults import ActiveFaults, Fault
+from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo, rest_start_and_top_speed
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.models.ruler import ServoModel, find_servo_model
+
+_RETURN_DELAY_UNIT_S: Final = 2e-6
+"""Unit of RETURN_DELAY_TIME, s (physical: Dynamixel X series)."""
+_RETURN_LEVELS: Final[dict[int, int]] = {Instruction.PING: 0, Instruction.READ: 1}
+"""Least STATUS_RETURN_LEVEL with which an instruction is answered, if below 2 (physical: as
+above)."""
+
+
+class TimedAnswer(NamedTuple):
+    """A status packet that a servo sends."""
+
+    id: int
+    return_delay_s: float
+    """Delay after the request or the answer before it, s."""
+    data: bytes
+
+
+class ServoLine:
+    """Servos that share a line; in a sync read those after a silent one answer all the same."""
+
+    def __init__(self, servos: Iterable[EmulatedServo]) -> None:
+        self.servos = tuple(servos)
+
+    @property
+    def watchdog_trips(self) -> int:
+        """Number of times that watchdogs have stopped servos."""
+        return sum(servo.watchdog_trips for servo in self.servos)
+
+    def advance_to(self, now_s: float) -> None:
+        """Advance all joints to a time, s; an earlier time than before changes nothing."""
+        for servo in self.servos:
+            servo.advance_to(now_s)
+
+    def positions(self) -> FloatArray:
+        """True angles of the joints, rad, shape (n,)."""
+        return np.array([servo.q for servo in self.servos])
+
+    def velocities(self) -> FloatArray:
+        """True velocities of the joints, rad/s, shape (n,)."""
+        return np.array([servo.v for servo in self.servos])
+
+    def answer(
+        self, packet: Packet, now_s: float, baud_rate: int | None = None
+    ) -> list[TimedAnswer]:
+        """Answers to a packet in their order, of the servos with its baud rate; None for all."""
+        self.advance_to(now_s)
+        if packet.instruction == Instruction.STATUS:
+            return []
+        hearing = [one for one in self.servos if baud_rate in (None, one.baud_rate)]
+        present = [servo for servo in hearing if not servo.silent]
+        for servo in present:
+            servo.fed_s = now_s
+        if packet.instruction == Instruction.SYNC_READ:
+            return _overlapping(_sync_read(present, packet))
+        if packet.instruction == Instruction.SYNC_WRITE:
+            _sync_write(present, packet)
+            return []
+        answers = []
+        for servo in present:
+            if packet.id in (servo.id, BROADCAST):
+                answers.append(_execute(servo, packet))
+            elif packet.instruction == Instruction.WRITE and _obeys(servo, packet.id):
+                _execute(servo, packet)
+        return _overlapping(answer for answer in answers if answer is not None)
+
+
+def _obeys(servo: EmulatedServo, id: int) -> bool:
+    """True if a servo carries out what is written to an id."""
+    return id == servo.id or (id == servo.get(table.SECONDARY_ID) and id < table.NO_SECONDARY_ID)
+
+
+def _overlapping(answers: Iterable[TimedAnswer]) -> list[TimedAnswer]:
+    """Answers as they arrive, in the order of their ids' first ones."""
+    by_id: dict[int, list[TimedAnswer]] = {}
+    for answer in answers:
+        by_id.setdefault(answer.id, []).append(answer)
+    return [same[0] if len(same) == 1 else _anded(same) for same in by_id.values()]
+
+
+def _anded(answers: list[TimedAnswer]) -> TimedAnswer:
+    """What arrives of answers that are sent at once: after its end one leaves the line at 1."""
+    columns = zip_longest(*(one.data for one in answers), fillvalue=0xFF)
+    data = bytes(reduce(and_, column) for column in columns)
+    return TimedAnswer(answers[0].id, max(one.return_delay_s for one in answers), data)
+
+
+def _execute(servo: EmulatedServo, packet: Packet) -> TimedAnswer | None:
+    """Execute an instruction on one servo; answer it if the servo's return level asks for it."""
+    id, params = servo.id, packet.params
+    least_level = _RETURN_LEVELS.get(packet.instruction, 2)
+    quiet = servo.get(table.STATUS_RETURN_LEVEL) < least_level
+    data, error, busy_s = b"", 0, 0.0
+    match packet.instruction:
+        case Instruction.PING:
+            data = bytes(servo.memory.bytes[0:2]) + bytes(servo.memory.bytes[6:7])
+        case Instruction.READ if len(params) == 4:
+            error, data = servo.read(_number(params, 0), _number(params, 2))
+        case Instruction.WRITE if len(params) >= 2:
+            error = servo.write(_number(params, 0), params[2:])
+            if not error and _number(params, 0) < table.EEPROM_END:
+                busy_s = servo.eeprom_write_s
+        case Instruction.READ | Instruction.WRITE:
+            error = ErrorNumber.DATA_LENGTH
+        case Instruction.REBOOT:
+            servo.reboot()
+        case _:
+            error = ErrorNumber.INSTRUCTION
+    if quiet or (packet.id == BROADCAST and least_level > 0):
+        return None
+    return _status(servo, id, data, error, busy_s)
+
+
+def _sync_read(servos: list[EmulatedServo], packet: Packet) -> Iterator[TimedAnswer]:
+    if packet.id != BROADCAST or len(packet.params) < 4:
+        return
+    address, length = _number(packet.params, 0), _number(packet.params, 2)
+    for id in packet.params[4:]:
+        for servo in servos:
+            if servo.id == id and servo.get(table.STATUS_RETURN_LEVEL) >= 1:
+                error, data = servo.read(address, length)
+                yield _status(servo, id, data, error)
+
+
+def _sync_write(servos: list[EmulatedServo], packet: Packet) -> None:
+    if packet.id != BROADCAST or len(packet.params) < 4:
+        return
+    address, length = _number(packet.params, 0), _number(packet.params, 2)
+    for at in range(4, len(packet.params) - length, length + 1):
+        for servo in servos:
+            if _obeys(servo, packet.params[at]):
+                servo.write(address, packet.params[at + 1 : at + 1 + length])
+
+
+def _status(
+    servo: EmulatedServo, id: int, data: bytes, error: int, busy_s: float = 0.0
+) -> TimedAnswer:
+    alert = ALERT if servo.get(table.HARDWARE_ERROR_STATUS) else 0
+    delay_s = _RETURN_DELAY_UNIT_S * servo.get(table.RETURN_DELAY_TIME)
+    return TimedAnswer(id, busy_s + delay_s, status_packet(id, data, error | alert))
+
+
+def _number(params: bytes, at: int) -> int:
+    return int.from_bytes(params[at : at + 2], "little")
+
+
+_SHORT_ANSWER_BYTES: Final = 6
+"""Bytes left of an answer that is cut short: header, id, and half of the length (chosen)."""
+_CRC_FLIPPED: Final = 0x01
+"""Bits of the checksum's last byte that are flipped (chosen)."""
+
+
+def apply_line_faults(
+    answers: Iterable[TimedAnswer], faults: Collection[Fault], rng: np.random.Generator
+) -> list[tuple[float, bytes]]:
+    """Delays beyond the faultless time, s, and bytes of the answers, earliest first.
+
+    Each fault is drawn separately for every answer of its servos, in order.
+    """
+    sent: dict[float, bytes] = {}
+    for answer in answers:
+        late_s, data = 0.0, answer.data
+        for fault in faults:
+            if answer.id not in fault.ids or rng.random() >= fault.probability:
+                continue
+            if fault.what == "late":
+                late_s += fault.value
+            else:
+                data = _damaged(fault.what, data)
+        if data:
+            sent[late_s] = sent.get(late_s, b"") + data
+    return sorted(sent.items())
+
+
+def _damaged(fault_name: str, data: bytes) -> bytes:
+    if fault_name == "bad-crc":
+        return data[:-1] + bytes(byte ^ _CRC_FLIPPED for byte in data[-1:])
+    if fault_name == "short":
+        return data[:_SHORT_ANSWER_BYTES]
+    return data + data if fault_name == "doubled" else b""
+
 
 _DIFFERENCE_S: Final = 1e-4
 """Step of the central difference for the target's velocity, s (numerical)."""
@@ -42,35 +231,6 @@ _FIRMWARE: Final = 52
 """Firmware of emulated models (chosen: the first without reports of a failing watchdog)."""
 _BAUD_RATE: Final = 1_000_000
 """Baud rate that the servos are set to, bit/s (chosen)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotorOptions:
-    """Dynamics and encoders of the servos of an emulated head, and the adapter of their line."""
-
-    servo: str | None = None
-    """Servo model, see `vergence.models.ruler`; None for an XL430-W250 as the head has it.
-    """
-    speed_filter_s: float = 0.0
-    """Time constant of the low-pass filter on reported speeds, s."""
-    lag_s: float | None = None
-    """Time constant of their response, s; None for the head's."""
-    acceleration_rad_s2: float | None = None
-    """Their greatest acceleration, rad/s^2; None for the model's or the head's."""
-    speed_gain: float = 1.0
-    """Steady-state speed per commanded speed."""
-    command_latency_s: float = 0.0
-    """Latency from a command's arrival to their response, s."""
-    backlash_rad: float = 0.0
-    """Backlash between encoders and joints, rad."""
-    feedback_latency_s: float = 0.0
-    """Age of the angles and speeds that servos report, s."""
-    answer_latency_s: float = 0.0
-    """Delay of every answer by the adapter, s."""
-    friction: float = 0.0
-    """Coulomb friction, as a fraction of the greatest torque."""
-    gravity: float = 0.0
-    """Greatest torque of gravity about a horizontal axis, as a fraction of the greatest torque."""
 
 
 def _make_model(servo: EmulatedServo, model: ServoModel) -> None:
@@ -110,7 +270,7 @@ class World:
     Args:
         head: the head that really moves.
         point: (3,) target position until another one is placed, in N, m.
-        motors: dynamics and encoders of the servos, and the adapter of their line.
+        config: gives the servos and the adapter of their line.
         seed: random seed of the faults of answers.
         T_0_T: (4, 4) pose of a fixed board in place of a target, m; None for a target.
     """
@@ -119,40 +279,36 @@ class World:
         self,
         head: HeadModel,
         point: FloatArray,
-        motors: MotorOptions | None = None,
+        config: EmulatorConfig | None = None,
         seed: int = 0,
         T_0_T: FloatArray | None = None,
     ) -> None:
-        motors = motors or MotorOptions()
+        config = config or EmulatorConfig()
         self.head = head
         self._slots = actuator_slots(head)
         actuation, timing = head.actuation, head.timing
-        lag_s = timing.lag_s if motors.lag_s is None else motors.lag_s
-        acceleration = actuation.acceleration
-        model = None if motors.servo is None else find_servo_model(motors.servo)
-        if motors.acceleration_rad_s2 is not None:
-            acceleration = np.full(7, motors.acceleration_rad_s2)
-        elif model is not None:
-            acceleration = np.full(7, model.acceleration_rad_s2)
+        lag_s = timing.lag_s if config.lag_s is None else config.lag_s
+        model = None if config.servo is None else find_servo_model(config.servo)
+        acceleration = config.acceleration_rad_s2
+        if acceleration is None and model is not None:
+            acceleration = model.acceleration_rad_s2
         start = actuation.actuators_of(head.rest())
         self.servos = {
             name: EmulatedServo(
                 ident,
-                lower=float(actuation.lower[slot]),
-                upper=float(actuation.upper[slot]),
                 lag_s=float(lag_s * actuation.lag_ratio[slot]),
-                acceleration=float(acceleration[slot]),
-                position_rad=float(start[slot]),
-                speed_filter_s=motors.speed_filter_s,
-                speed_gain=motors.speed_gain,
-                backlash_rad=motors.backlash_rad,
-                feedback_latency_s=motors.feedback_latency_s,
+                acceleration=float(
+                    actuation.acceleration[slot] if acceleration is None else acceleration
+                ),
+                lower=float(actuation.lower[slot]), upper=float(actuation.upper[slot]),
+                speed_filter_s=config.speed_filter_s, speed_gain=config.speed_gain,
+                backlash_rad=config.backlash_rad, feedback_latency_s=config.feedback_latency_s,
                 max_speed=model.speed_rad_s if model else float(actuation.velocity[slot]),
-                friction=motors.friction,
-                gravity=motors.gravity * _lever(head, slot),
+                friction=config.friction, gravity=config.gravity * _lever(head, slot),
+                position_rad=float(start[slot]),
             )
             for ident, (name, slot) in enumerate(self._slots.items(), 1)
-        }
+        }  # fmt: skip
         for servo in self.servos.values():
             servo.set(table.BAUD_RATE, table.BAUD_RATES.index(_BAUD_RATE))
             servo.set(table.RETURN_DELAY_TIME, 0)
@@ -162,8 +318,8 @@ class World:
         self.ids = tuple(servo.id for servo in self.servos.values())
         self.line = ServoLine(self.servos.values())
         self.faults = ActiveFaults(self.servos.values())
-        self._command_latency_s = motors.command_latency_s
-        self._answer_latency_s = motors.answer_latency_s
+        self._command_latency_s = config.command_latency_s
+        self._answer_latency_s = config.answer_latency_s
         self._commands: deque[tuple[float, Packet]] = deque()
         self._rng = np.random.default_rng(seed)
         self._told_s = -np.inf
@@ -208,19 +364,14 @@ class World:
     def answer(self, packet: Packet, now_s: float, baud_rate: int) -> list[tuple[float, bytes]]:
         """Answers of the servos to a packet, with the active faults of the line.
 
-        Args:
-            packet: a packet from the line.
-            now_s: time of its arrival, s.
-            baud_rate: baud rate at which it was sent; servos with another rate do not receive it.
-
-        Returns:
-            Pairs of the delay after the packet, without the time on the wire, s, and the bytes.
+        Pairs of the delay after the packet, without the time on the wire, s, and the bytes. Servos
+        with another baud rate do not receive it.
         """
         self.advance_to(now_s)
         if packet.instruction == Instruction.SYNC_WRITE and self._command_latency_s:
             self._commands.append((now_s + self._command_latency_s, packet))
             for servo in self.line.servos:
-                servo.feed_watchdog(now_s)
+                servo.fed_s = now_s
             return []
         answers = self.line.answer(packet, now_s, baud_rate)
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
@@ -243,26 +394,22 @@ class World:
     def rest_report(self, since_s: float, now_s: float) -> dict[str, Any]:
         """Start of the present rest, `rested_s`, and `fastest`, see `rest_start_and_top_speed`."""
         self.advance_to(now_s)
-        rested_s, fastest = rest_start_and_top_speed(
-            [servo.trace for servo in self.line.servos], since_s
-        )
+        traces = [servo.trace for servo in self.line.servos]
+        rested_s, fastest = rest_start_and_top_speed(traces, since_s)
         return {"rested_s": rested_s, "fastest": fastest}
 
     def motion_since_last_call(self, now_s: float) -> dict[str, Any]:
-        """Motion of each servo's shaft since the last call, or all that is kept: 20 s or more.
+        """`times`, `positions` and `velocities` of each servo's shaft since the last call.
 
-        Returns:
-            By the joint's name `times`, `positions` and `velocities`, at least every 2 ms while the
-            velocity changes.
+        They are told by the joint's name, from the last 20 s or more, at least every 2 ms while the
+        velocity changes.
         """
         self.advance_to(now_s)
-        moments = {name: one.trace.samples_since(self._told_s) for name, one in self.servos.items()}
-        self._told_s = now_s
+        since_s, self._told_s = self._told_s, now_s
+        keys = ("times", "positions", "velocities")
         return {
-            name: dict(
-                zip(("times", "positions", "velocities"), zip(*own, strict=True), strict=True)
-            )
-            for name, own in moments.items()
+            name: dict(zip(keys, zip(*one.trace.samples_since(since_s), strict=True), strict=True))
+            for name, one in self.servos.items()
         }
 
     def _joints(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -273,11 +420,7 @@ class World:
         return self.head.actuation.joints_of(own[0]), own[1], own[2]
 
     def state(self, now_s: float) -> dict[str, Any]:
-        """Ground truth at a time.
-
-        Args:
-            now_s: time, s of the monotonic clock, not before an earlier call's.
-        """
+        """Ground truth at a time, not before an earlier call's."""
         self.advance_to(now_s)
         q, motors, v = self._joints()
         if not self.head.actuation.direct:

@@ -1,9 +1,11 @@
 """Questions to a line of emulated servos, in time that the test sets."""
 
+import numpy as np
+
 from tests.hardware.line import make_servo
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import Instruction, PacketParser, instruction_packet
-from vergence.hardware.emulator.line import ServoLine
+from vergence.hardware.emulator.world import ServoLine
 
 
 def ask(line, now_s, sent):
@@ -31,3 +33,6 @@ def turning(goal=100, mode=table.VELOCITY_MODE, **options):
     write(line, 0.0, 1, table.TORQUE_ENABLE, 1)
     write(line, 0.0, 1, table.GOAL_VELOCITY, goal)
     return line
+
+
+POINT = np.array([0.0, -0.1, 1.0])
