@@ -290,7 +290,10 @@ def _own_bus(table: Table, kind: str, path: str) -> BusConfig:
 
 
 def read_servos(
-    tables: Sequence[Table], head: HeadModel | None, unit_rad: float, mistakes: MistakeCollector
+    tables: Sequence[Table],
+    head: HeadModel | None,
+    unit_rad: float | None,
+    mistakes: MistakeCollector,
 ) -> tuple[ServoConfig, ...]:
     """Read the servos, in the order of their slots; those with mistakes are left out."""
     slots = None if head is None else actuator_slots(head)
@@ -324,10 +327,14 @@ def read_servos(
 
 
 def _servo(
-    table: Table, name: str, ident: int, slot: int, head: HeadModel | None, unit_rad: float
+    table: Table, name: str, ident: int, slot: int, head: HeadModel | None, unit_rad: float | None
 ) -> ServoConfig:
     zero = 0.0
-    if unit_rad != 1.0:
+    if unit_rad is None:  # a bus with a mistake
+        unit_rad = 1.0
+        for key in {"zero_ticks", "zero_rad"} & set(table.names()):
+            table.take(key, "")
+    elif unit_rad != 1.0:
         zero = table.integer("zero_ticks", _ZERO_TICKS)
     elif table.has("zero_rad"):
         zero = table.number("zero_rad", _ZERO_RAD)
@@ -560,12 +567,14 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         _refuse_other_digest(table, head)
     with mistakes:
         target = _target(table, path)
-    bus = BusConfig()
+    named = table.peek("bus")
+    own = isinstance(named, Mapping) and named.get("kind", "dynamixel") not in KINDS
+    unit_rad = None if own else DynamixelServos.unit_rad  # while the bus is not known
     with mistakes:
         bus = read_bus(table.table("bus"), head, path)
+        unit_rad = bus.servos_type.unit_rad
     with mistakes:
-        tables = table.tables("servos")
-        servos = read_servos(tables, head, bus.servos_type.unit_rad, mistakes)
+        servos = read_servos(table.tables("servos"), head, unit_rad, mistakes)
     with mistakes:
         cameras, tolerance_s = _cameras(table.table("cameras"), head, mistakes)
     emulator, places_targets = "", False
