@@ -17,7 +17,7 @@ from mcap.data_stream import RecordBuilder
 
 from tests.recording.logged import log_trials
 from vergence.recording import schema
-from vergence.recording.records import read_records
+from vergence.recording.log import read_records
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _BOMB: Final = 2**30

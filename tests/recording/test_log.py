@@ -15,8 +15,7 @@ from tests.recording.logged import HEAD, STEPS, log_trials, open_log
 from vergence.envs.reading import Reading
 from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError, VergenceWarning
 from vergence.recording import schema
-from vergence.recording.log import read_log
-from vergence.recording.recovery import recover_log
+from vergence.recording.log import read_log, recover_log
 from vergence.recording.schema import LoggedDetection
 
 mcap_reader = pytest.importorskip("mcap.reader")

@@ -13,7 +13,7 @@ from vergence.hardware.config import HardwareConfig
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import PairCounts, Pairing, SearchedImage, SearchedPair
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.recording.listener import RobotListener
+from vergence.recording.events import RobotListener
 from vergence.recording.schema import LoggedDetection
 from vergence.vision.image import suppress_opencv_log
 from vergence.vision.objects.search import HeadSearch

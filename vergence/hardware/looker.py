@@ -12,8 +12,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.recording.listener import RobotListener
-from vergence.recording.looking import BoardView
+from vergence.recording.events import BoardView, RobotListener
 from vergence.recording.schema import LoggedDetection
 from vergence.vision.targets import PlanarTarget
 
@@ -38,7 +37,7 @@ Pair = tuple[LoggedDetection, LoggedDetection]
 
 
 class RobotLooker:
-    """A real or emulated head before a board, see `vergence.recording.looking.Looker`.
+    """A real or emulated head before a board, see `vergence.recording.events.Looker`.
 
     Args:
         config: the file that describes the robot.

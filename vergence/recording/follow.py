@@ -5,22 +5,221 @@ head, the facts and the configuration. Old messages are skipped without decoding
 attaching to a log of hours is quick.
 """
 
+import json
 import os
 import struct
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
-from vergence.errors import ConfigurationError, VergenceError
+import numpy as np
+
+from vergence.envs.reading import Reading, Truth
+from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError
+from vergence.files import write_atomic
 from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 from vergence.recording import schema
-from vergence.recording.content import LogContent
-from vergence.recording.events import FollowedImage, FollowedNote, FollowedReading, NewEvents
-from vergence.recording.growing import GrowingFile, Place
-from vergence.recording.schema import Topic
+from vergence.recording.log import (
+    EXPECTED_FILE,
+    MAX_CHUNK_BYTES,
+    ChunkUnpacker,
+    LogContent,
+    open_regular,
+    require_mcap,
+)
+from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
+
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+_FRAME: Final = struct.Struct("<BQ")
+"""A record's opcode and the size of its content."""
+_OPENING: Final = 16
+"""Number of bytes of a content that are read at once (numerical: times of chunks and messages)."""
+
+
+class Place(NamedTuple):
+    """Place of one whole record in the file."""
+
+    opcode: int
+    start: int
+    """Offset of the content, bytes."""
+    size: int
+    """Size of the content, bytes."""
+    opening: bytes
+    """The first bytes of the content, at most 16."""
+
+
+class GrowingFile:
+    """A growing MCAP file, open for reading; close it after use.
+
+    Args:
+        path: path of the file; it may still be empty.
+
+    Attributes:
+        path: see the arguments.
+
+    Raises:
+        UnreadableFileError: the file cannot be opened.
+        ConfigurationError: mcap is not installed.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        require_mcap()
+        self.path = Path(path)
+        self._file = open_regular(path)
+        self._at = 0
+        self._unpacker = ChunkUnpacker()
+
+    def close(self) -> None:
+        """Close the file; nothing can be read afterwards."""
+        self._file.close()
+
+    def places(self) -> Iterator[Place]:
+        """Yield the places of records that have become whole since the last call, in order.
+
+        Raises:
+            UnreadableFileError: the file has become shorter, is no MCAP file or is damaged.
+        """
+        size = os.fstat(self._file.fileno()).st_size
+        if size < self._at:
+            raise self.unreadable("it became shorter while it was followed")
+        if not self._at:
+            if not MAGIC.startswith(self.part(0, min(size, len(MAGIC)))):
+                raise self.unreadable("it is no MCAP file")
+            if size < len(MAGIC):
+                return
+            self._at = len(MAGIC)
+        while self._at + _FRAME.size <= size:
+            found = self.part(self._at, min(size - self._at, _FRAME.size + _OPENING))
+            opcode, length = _FRAME.unpack_from(found)
+            start = self._at + _FRAME.size
+            if not opcode or length > MAX_CHUNK_BYTES:
+                raise self.unreadable(f"it is damaged at byte {self._at}")
+            if start + length > size:
+                return
+            self._at = start + length
+            yield Place(opcode, start, length, found[_FRAME.size :][:length])
+
+    def part(self, start: int, size: int) -> bytes:
+        """Bytes of the file.
+
+        Raises:
+            UnreadableFileError: the file cannot be read, or has become shorter.
+        """
+        try:
+            self._file.seek(start)
+            data = self._file.read(size)
+        except OSError as error:
+            raise self.unreadable(error.strerror or str(error)) from error
+        if len(data) != size:
+            raise self.unreadable("it became shorter while it was followed")
+        return data
+
+    def number(self, place: Place, form: struct.Struct, offset: int = 0) -> int:
+        """One number in the opening of a record's content.
+
+        Args:
+            place: place of the record.
+            form: form of the number.
+            offset: offset of the number in the content, bytes.
+
+        Raises:
+            UnreadableFileError: the record is too short.
+        """
+        try:
+            number: int = form.unpack_from(place.opening, offset)[0]
+        except struct.error as error:
+            raise self.damaged(f"a record of kind {place.opcode} and {place.size} bytes") from error
+        return number
+
+    def records(self, place: Place) -> "list[McapRecord]":
+        """Records at a place: those in a chunk, or a single one.
+
+        Raises:
+            UnreadableFileError: the file cannot be read, or is damaged there.
+        """
+        from mcap.stream_reader import StreamReader
+
+        data = _FRAME.pack(place.opcode, place.size) + self.part(place.start, place.size)
+        self._unpacker.allow(len(data))
+        reader = StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True)
+        try:
+            return self._unpacker.records_in(next(iter(reader.records)))
+        except (Exception, MemoryError) as error:  # damage can make the library raise anything
+            raise self.damaged(f"{type(error).__name__} {error}".strip()) from error
+
+    def lost(self) -> str:
+        """Description of the file's loss, such as its deletion; empty while it is at its path."""
+        try:
+            now = os.stat(self.path)
+        except FileNotFoundError:
+            return "it was deleted while it was followed"
+        except OSError as error:
+            return error.strerror or str(error)
+        same = os.path.samestat(now, os.fstat(self._file.fileno()))
+        return "" if same else "it was replaced by another file while it was followed"
+
+    def unreadable(self, reason: str) -> UnreadableFileError:
+        """An error about the file."""
+        return UnreadableFileError(os.fspath(self.path), reason, EXPECTED_FILE)
+
+    def damaged(self, reason: str) -> UnreadableFileError:
+        """An error about damage before the byte up to which the file has been read."""
+        return self.unreadable(f"it is damaged before byte {self._at}: {reason:.200}")
+
+
+class FollowedReading(NamedTuple):
+    """A reading of the head."""
+
+    trial: int
+    """Number of the trial; 0 if its start was not found."""
+    begun_s: float
+    """Time of the trial's start, s of the robot's clock."""
+    reading: Reading
+    """The reading; its arrays lack the axis over heads."""
+
+
+class FollowedImage(NamedTuple):
+    """An image of an eye."""
+
+    exposed_s: float
+    """Time of the exposure, s of the robot's clock."""
+    jpeg: bytes
+    """The JPEG; see `vergence.recording.log.read_jpeg`."""
+
+
+class FollowedNote(NamedTuple):
+    """A warning or an error of the package's loggers."""
+
+    level: int
+    """3 for a warning, 4 for an error, 5 for a fatal one, as in foxglove.Log."""
+    message: str
+
+
+class NewEvents(NamedTuple):
+    """Events appended to a log between two calls, in order; at most 10 000 of a kind."""
+
+    readings: tuple[FollowedReading, ...]
+    truths: tuple[Truth, ...]
+    """Ground truth, if it is logged: each follows the reading of its time, maybe one call later."""
+    commands: tuple[LoggedCommand, ...]
+    """All commands, also those of the robot's own code."""
+    detections: tuple[LoggedDetection, ...]
+    joints: LoggedJoints | None
+    """The newest measurement of the joints, also between trials; None if there is no new one."""
+    images: tuple[FollowedImage | None, FollowedImage | None]
+    """The newest image of the left and the right eye; None if there is no new one."""
+    stop_reasons: tuple[str, ...]
+    """Reasons for stops of the head."""
+    notes: tuple[FollowedNote, ...]
+
 
 if TYPE_CHECKING:
     from mcap.records import Message
@@ -273,3 +472,53 @@ def newest_log(folder: str | os.PathLike[str]) -> Path | None:
         with suppress(OSError):  # deleted meanwhile
             found.append((path.stat().st_mtime_ns, path))
     return max(found, default=(0, None))[1]
+
+
+class Click(NamedTuple):
+    """A click in an eye's image."""
+
+    eye: int
+    """0 for left, 1 for right."""
+    pixel: FloatArray
+    """(2,) raw pixel (u, v)."""
+    exposed_s: float
+    """Time of the image's exposure, s of the robot's clock."""
+
+
+def _file_beside(log: Path) -> Path:
+    return log.with_suffix(".click")
+
+
+def write_click(log: Path, click: Click) -> None:
+    """Leave a click for the robot that writes a log.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    u, v = click.pixel.tolist()
+    write_atomic(_file_beside(log), json.dumps([click.eye, u, v, click.exposed_s]))
+
+
+class ClickReader:
+    """Reads the newest click beside a log, without ever waiting; remove it with `close`."""
+
+    def __init__(self, log: Path) -> None:
+        self._file = _file_beside(log)
+        self.close()
+        self._seen: tuple[int, int] | None = None
+
+    def poll(self) -> Click | None:
+        """The newest click; None if there is no new one."""
+        try:
+            stat = self._file.stat()
+            if (stat.st_ino, stat.st_mtime_ns) == self._seen:
+                return None
+            self._seen = stat.st_ino, stat.st_mtime_ns
+            eye, u, v, exposed_s = json.loads(self._file.read_text())
+            return Click(int(eye) & 1, np.array([float(u), float(v)]), float(exposed_s))
+        except (OSError, ValueError, TypeError):  # none yet, or not written by a viewer
+            return None
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._file.unlink(missing_ok=True)

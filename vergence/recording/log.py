@@ -1,29 +1,327 @@
 """Reading of a robot's log, complete or truncated by a crash; its content is untrusted."""
 
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, cast
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.envs.plant import Plant
 from vergence.envs.reading import Image, Reading, Truth
-from vergence.errors import ConfigurationError
+from vergence.envs.streams import IntArray
+from vergence.errors import (
+    ConfigurationError,
+    HardwareError,
+    UnreadableFileError,
+    VergenceError,
+    how_to_install,
+)
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
+from vergence.models.head_file import parse_head
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.recording import schema
-from vergence.recording.content import LogContent
-from vergence.recording.jpeg import read_jpeg
-from vergence.recording.records import read_records
 from vergence.recording.schema import (
     CommandOrigin,
     LoggedCommand,
     LoggedDetection,
     LoggedJoints,
     Topic,
+    decode_message,
+    escape_control_characters,
 )
+
+if TYPE_CHECKING:
+    from mcap.records import Chunk, McapRecord
+
+EXPECTED_FILE: Final = "a log of a robot in MCAP, as vergence deploy writes it"
+MAX_CHUNK_BYTES: Final = 64 * 2**20
+"""Largest size of an unpacked chunk, bytes (chosen: far above a log's, whose chunks span 50 ms)."""
+_MAX_UNPACKING_RATIO: Final = 200
+"""Largest ratio of unpacked to packed bytes, beyond a first chunk (chosen: logs have 5 to 15)."""
+
+
+def read_records(
+    path: str | os.PathLike[str], on_truncation: Callable[[str], None] = lambda reason: None
+) -> "Iterator[McapRecord]":
+    """Yield a file's records in order, with those in chunks, up to its end or to any damage.
+
+    Args:
+        path: path of the file.
+        on_truncation: called with the reason if the file ends early.
+
+    Raises:
+        UnreadableFileError: the file cannot be read, or is no MCAP file.
+        ConfigurationError: mcap is not installed.
+    """
+    require_mcap()
+    from mcap.stream_reader import StreamReader
+
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        unpacker = ChunkUnpacker()
+        unpacker.allow(size)
+        reader = iter(StreamReader(file, emit_chunks=True, record_size_limit=size).records)
+        begun = False
+        while True:
+            try:
+                inside = unpacker.records_in(next(reader))
+            except StopIteration:
+                return
+            except (Exception, MemoryError) as error:  # damage can make the library raise anything
+                if not begun:
+                    reason = "it is no MCAP file" if size else "it is empty"
+                    raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE) from error
+                on_truncation(f"{type(error).__name__} {error}".strip())
+                return
+            begun = True
+            yield from inside
+
+
+def require_mcap() -> None:
+    """Check that mcap is installed.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    try:
+        import mcap.stream_reader  # noqa: F401
+    except ImportError as error:
+        raise ConfigurationError(
+            f"log: expected mcap to be installed: {how_to_install('robot')}"
+        ) from error
+
+
+class ChunkUnpacker:
+    """Unpacking of a file's chunks, with limits on the size of each and of all together."""
+
+    def __init__(self) -> None:
+        self._left = MAX_CHUNK_BYTES
+
+    def allow(self, size: int) -> None:
+        """Allow as much more as this number of bytes of the file may hold when unpacked."""
+        self._left += _MAX_UNPACKING_RATIO * size
+
+    def records_in(self, record: "McapRecord") -> "list[McapRecord]":
+        """Records in a chunk; the record alone if it is no chunk. Damage can raise anything."""
+        from mcap.records import Chunk
+        from mcap.stream_reader import breakup_chunk
+
+        if not isinstance(record, Chunk):
+            return [record]
+        data = _unpacked(record, min(self._left, MAX_CHUNK_BYTES))
+        self._left -= len(data)
+        return breakup_chunk(replace(record, compression="", data=data), True)
+
+
+def _unpacked(chunk: "Chunk", most: int) -> bytes:
+    """Unpack a chunk, with a limit on its size.
+
+    Args:
+        chunk: the chunk.
+        most: largest allowed size, bytes.
+
+    Raises:
+        ValueError: the size is above the limit or differs from the stated one, or the compression
+            is unknown.
+    """
+    size = chunk.uncompressed_size
+    if size > most:
+        raise ValueError(f"a chunk of {size} bytes")
+    if not chunk.compression:
+        return chunk.data
+    if chunk.compression == "zstd":
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            return _whole(reader.read(size + 1), size)
+    if chunk.compression == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+        return _whole(data, size)
+    raise ValueError(f"a chunk packed by {chunk.compression!r:.40}, not by zstd or lz4")
+
+
+def _whole(data: bytes, size: int) -> bytes:
+    if len(data) != size:
+        raise ValueError(f"a chunk of other than the {size} bytes that it says")
+    return data
+
+
+def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Raises:
+        UnreadableFileError: it cannot be read, or is no regular file.
+    """
+    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+        raise UnreadableFileError(os.fspath(path), "no regular file", EXPECTED_FILE)
+    try:
+        return open(path, "rb")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE) from error
+
+
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+
+_INTEGER_PATTERN: Final = re.compile("-?[0-9]{1,19}")
+_TOPIC_BY_NAME: Final = {topic.name: topic for topic in schema.TOPICS}
+_FILES: Final = (schema.HEAD_FILE, schema.CONFIG_FILE)
+
+
+class LogContent:
+    """Facts, attachments and channels of the records read so far, which decode the messages.
+
+    Attributes:
+        facts: facts about the log, by name; empty before they are read.
+        files: texts of the attachments of a log, by name.
+        topics: topics by the number of their channel in the file.
+    """
+
+    def __init__(self) -> None:
+        self.facts: dict[str, str] = {}
+        self.files: dict[str, str] = {}
+        self.topics: dict[int, Topic] = {}
+
+    def add(self, record: "McapRecord") -> Topic | None:
+        """Keep a record, unless it is a message.
+
+        Args:
+            record: the record.
+
+        Returns:
+            The topic if the record is a message of a known one, else None.
+        """
+        from mcap.records import Attachment, Channel, Message, Metadata
+
+        if isinstance(record, Message):
+            return self.topics.get(record.channel_id)
+        if isinstance(record, Channel) and record.topic in _TOPIC_BY_NAME:
+            self.topics[record.id] = _TOPIC_BY_NAME[record.topic]
+        elif isinstance(record, Metadata) and record.name == schema.FACTS_RECORD_NAME:
+            self.facts = {
+                name: escape_control_characters(text) for name, text in record.metadata.items()
+            }
+        elif isinstance(record, Attachment) and record.name in _FILES:
+            self.files[record.name] = record.data.decode("utf-8", "replace")
+        return None
+
+    @property
+    def has_head(self) -> bool:
+        """True if the head and the facts have been read."""
+        return schema.HEAD_FILE in self.files and bool(self.facts)
+
+    def head(self, path: str | os.PathLike[str], headless: str = "it has no head") -> HeadModel:
+        """The model that the controller uses.
+
+        Args:
+            path: path of the file, for messages.
+            headless: reason of the error if no head has been read.
+
+        Raises:
+            UnreadableFileError: no head has been read, or the log has another schema.
+            ConfigurationError: the head is invalid.
+        """
+        if not self.has_head:
+            raise UnreadableFileError(os.fspath(path), headless, EXPECTED_FILE)
+        if self.facts.get("schema") != schema.SCHEMA_VERSION:
+            raise UnreadableFileError(
+                os.fspath(path),
+                f"its schema is {self.facts.get('schema', 'unknown')!r:.40}",
+                f"schema {schema.SCHEMA_VERSION}",
+            )
+        try:
+            return parse_head(self.files[schema.HEAD_FILE])
+        except VergenceError as error:
+            raise ConfigurationError(f"{path}: {schema.HEAD_FILE}: {error}") from error
+
+    def message(self, topic: Topic, data: bytes) -> Any:
+        """Decode a message.
+
+        Args:
+            topic: topic of the message.
+            data: JSON.
+
+        Returns:
+            The trial's number; `begun_s` and a `Reading`; a `LoggedCommand`, `LoggedJoints`,
+            `Truth` or `LoggedDetection`; a fault's text; the exposure time, s of the clock, and
+            the JPEG of an image; or the fields of a note. Arrays lack the axis over heads.
+
+        Raises:
+            ConfigurationError: the message does not match its topic, or `clock_zero_ns` is invalid.
+        """
+        fields = decode_message(topic, data)
+        if topic is schema.TRIAL:
+            return fields["number"]
+        if topic is schema.READING:
+            return fields.pop("begun_s"), Reading(**fields)
+        if topic is schema.COMMAND:
+            return LoggedCommand(**fields)
+        if topic is schema.JOINTS:
+            return LoggedJoints(**fields)
+        if topic is schema.TRUTH:
+            return Truth(**fields)
+        if topic is schema.DETECTION:
+            if fields["eye"] not in EYE_NAMES:
+                raise ConfigurationError(
+                    f"{topic.name}: eye: expected one of {', '.join(EYE_NAMES)}, got "
+                    f"{fields['eye']!r:.40}"
+                )
+            return LoggedDetection(**fields)
+        if topic is schema.FAULT:
+            return fields["text"]
+        if topic in schema.IMAGES:
+            return 1e-9 * (fields["timestamp"] - self._clock_zero_ns()), fields["data"]
+        return fields
+
+    def _clock_zero_ns(self) -> int:
+        text = self.facts.get("clock_zero_ns", "")
+        if not _INTEGER_PATTERN.fullmatch(text):
+            raise ConfigurationError(f"clock_zero_ns: expected ns, got {text!r:.40}")
+        return int(text)
+
+
+_SOI_MARKER: Final = b"\xff\xd8"
+_MAX_PIXELS: Final = 64 * 10**6
+"""Largest number of pixels of an image (chosen: above any camera's; a corrupt file of a few KB may
+claim ten times as many)."""
+_SOF_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Markers of the start-of-frame segment, which holds the size (physical: JPEG standard)."""
+_SOS_MARKER: Final = 0xDA
+"""Marker of the start-of-scan segment, after which no size follows (physical: JPEG standard)."""
+
+
+def read_jpeg(data: bytes) -> Image | None:
+    """Decode a JPEG to grey levels, (height, width); None if it is no JPEG, broken or too large."""
+    if not 0 < _pixels(data) <= _MAX_PIXELS:
+        return None
+    try:
+        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image, np.uint8)
+
+
+def _pixels(data: bytes) -> int:
+    """Number of pixels that a JPEG's header claims; 0 if it is no JPEG."""
+    at = len(_SOI_MARKER)
+    if not data.startswith(_SOI_MARKER):
+        return 0
+    while at + 9 <= len(data) and data[at] == 0xFF and data[at + 1] != _SOS_MARKER:
+        if data[at + 1] in _SOF_MARKERS:
+            height, width = (int.from_bytes(data[at + i : at + i + 2], "big") for i in (5, 7))
+            return height * width
+        at += 1 if data[at + 1] == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return 0
+
 
 if TYPE_CHECKING:
     from mcap.records import Message
@@ -215,3 +513,124 @@ class _LogBuilder(LogContent):
                 self.trials[-1].commands.append(value)
         elif topic in schema.IMAGES:
             self.trials[-1].images[schema.IMAGES.index(topic)].append(value)
+
+
+def recover_log(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
+    """Copy all readable records of an MCAP file to a new, complete one, with an index and an end.
+
+    Args:
+        path: the truncated file.
+        out: the new file.
+
+    Raises:
+        UnreadableFileError: the file is no MCAP file.
+        OSError: the new file cannot be written.
+    """
+    from mcap.records import Attachment, Channel, Message, Metadata, Schema
+    from mcap.writer import Writer
+
+    schemas: dict[int, tuple[Schema, int]] = {}
+    channels: dict[int, tuple[Channel, int]] = {}
+    with open(out, "xb") as file:
+        writer = cast(Any, Writer(file))  # some of its methods have no types
+        writer.start()
+        for one in read_records(path):
+            if isinstance(one, Schema):
+                if one.id not in schemas or schemas[one.id][0] != one:  # a file's end repeats them
+                    number = writer.register_schema(one.name, one.encoding, one.data)
+                    schemas[one.id] = one, number
+            elif isinstance(one, Channel):
+                if one.id not in channels or channels[one.id][0] != one:
+                    _, known = schemas.get(one.schema_id, (None, 0))
+                    number = writer.register_channel(
+                        one.topic, one.message_encoding, known, one.metadata
+                    )
+                    channels[one.id] = one, number
+            elif isinstance(one, Message):
+                if one.channel_id in channels:
+                    number = channels[one.channel_id][1]
+                    writer.add_message(
+                        number, one.log_time, one.data, one.publish_time, one.sequence
+                    )
+            elif isinstance(one, Metadata):
+                writer.add_metadata(one.name, one.metadata)
+            elif isinstance(one, Attachment):
+                writer.add_attachment(
+                    one.create_time, one.log_time, one.name, one.media_type, one.data
+                )
+        writer.finish()
+
+
+REPLAYED_ENTRY_POINT: Final = f"{__name__}:ReplayedPlant"
+"""Entry point of the plant."""
+
+
+class ReplayedPlant(Plant):
+    """One head with a log's readings; each reset begins the log's next trial.
+
+    Args:
+        head: the model that the controller uses.
+        num: number of heads, 1.
+        trials: the logged trials.
+
+    Attributes:
+        commands: list of the velocities, (7,) rad/s, that the policy has commanded in the current
+            trial.
+
+    Raises:
+        ConfigurationError: num is not 1.
+    """
+
+    max_num = 1
+
+    def __init__(self, head: HeadModel, num: int = 1, *, trials: Sequence[LoggedTrial]) -> None:
+        if num != 1:
+            raise ConfigurationError(f"num: expected 1, as a log is of one head, got {num}")
+        self.head, self.num = head, num
+        self.commands: list[FloatArray] = []
+        self._trials = list(trials)
+        self._place, self._step = -1, 0
+
+    def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
+        """Begin the next trial; the positions are the log's, the arguments are ignored.
+
+        Raises:
+            HardwareError: the log has no further trial.
+        """
+        if self._place + 1 >= len(self._trials):
+            raise HardwareError(f"the log has no more than {len(self._trials)} trials")
+        self._place += 1
+        self.commands, self._step = [], 0
+        return self._reading()
+
+    def step(self, command: FloatArray) -> Reading:
+        """Keep the command, and return the log's next reading.
+
+        Raises:
+            HardwareError: the trial has no further reading.
+        """
+        if self._step >= self._trial.steps:
+            raise HardwareError(f"the trial has no more than {self._trial.steps} control periods")
+        self.commands.append(np.array(command[0]))
+        self._step += 1
+        return self._reading()
+
+    @property
+    def _trial(self) -> LoggedTrial:
+        return self._trials[self._place]
+
+    def _reading(self) -> Reading:
+        return Reading._make(values[self._step] for values in self._trial.readings)
+
+    def frames(self, place: int = 0) -> tuple[Image, Image] | None:
+        """See `Plant.frames`."""
+        return self._trial.frames(self._step)
+
+    def truth(self) -> Truth | None:
+        """Logged ground truth of the present; None if none is logged."""
+        if self._trial.truths is None:
+            return None
+        return Truth._make(values[self._step] for values in self._trial.truths)
+
+    def close(self) -> None:
+        """Do nothing: no resource is held."""

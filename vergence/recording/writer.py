@@ -24,9 +24,15 @@ from vergence.models.head import HeadModel
 from vergence.models.head_file import head_to_toml
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
-from vergence.recording.listener import RobotListener
-from vergence.recording.messages import encode_message, foxglove_time
-from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
+from vergence.recording.events import RobotListener
+from vergence.recording.schema import (
+    LoggedCommand,
+    LoggedDetection,
+    LoggedJoints,
+    Topic,
+    encode_message,
+    foxglove_time,
+)
 
 _LOGGER: Final = logging.getLogger("vergence")
 _FLUSH_S: Final = 0.05

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import RobotListener
+from vergence.recording.events import RobotListener
 from vergence.recording.schema import CommandOrigin, LoggedCommand, LoggedDetection
 
 
