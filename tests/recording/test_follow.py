@@ -4,8 +4,6 @@ import logging
 import math
 import os
 import tempfile
-from collections import defaultdict
-from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from unittest.mock import Mock
@@ -24,16 +22,16 @@ from vergence.recording import schema
 from vergence.recording.follow import (
     Click,
     ClickReader,
-    GrowingFile,
     LogFollower,
     newest_log,
     write_click,
 )
-from vergence.recording.log import read_log
-from vergence.recording.schema import LoggedCommand, LoggedDetection
+from vergence.recording.log import read_log, records_in
+from vergence.recording.schema import LoggedCommand
 from vergence.recording.writer import LogWriter
 
 mcap_writer = pytest.importorskip("mcap.writer")
+stream_reader = pytest.importorskip("mcap.stream_reader")
 
 PERIOD_S = 0.1
 STEPS = 30
@@ -48,11 +46,8 @@ def log_trial(log, clock, steps):
         clock.now = begun_s + time_s
         if step:
             log.command(LoggedCommand(clock.now, np.full(7, time_s), np.zeros(7), "go", "policy"))
-        log.joints(clock.now, np.full(7, time_s), np.zeros(7))
         log.reading(Reading.empty(1)._replace(time_s=np.array([time_s])), begun_s)
         log.truth(Truth.unknown(1)._replace(time_s=np.array([time_s])))
-        pixels = (np.ones(2), np.ones(2), np.ones((4, 2)), np.ones((4, 2)))
-        log.detection(LoggedDetection("right", clock.now - 0.05, clock.now, np.zeros(7), *pixels))
         log.sync()
 
 
@@ -78,37 +73,34 @@ def logged(tmp_path_factory):
 
 def assert_holds(events, log):
     """The events of some calls are those of the whole log."""
-    found = defaultdict(list)
-    for one in events:
-        for name in ("readings", "truths", "commands", "detections", "stop_reasons"):
-            found[name] += getattr(one, name)
-        for eye, image in enumerate(one.images):
-            found["images", eye] = image or found["images", eye]
+    readings, truths, stop_reasons = (
+        [one for part in events for one in getattr(part, name)]
+        for name in ("readings", "truths", "stop_reasons")
+    )
     steps = [(trial, step) for trial in log.trials for step in range(trial.steps + 1)]
-    readings = found["readings"]
     assert [one[:2] for one in readings] == [(trial.number, trial.begun_s) for trial, _ in steps]
-    found["readings"] = [one.reading for one in readings]
-    for name, expected in {
-        "readings": [[v[s, 0] for v in trial.readings] for trial, s in steps],
-        "truths": [[v[s, 0] for v in trial.truths] for trial, s in steps],
-        "commands": [one for trial in log.trials for one in trial.commands],
-        "detections": log.detections,
-    }.items():
-        for row, others in zip(found[name], expected, strict=True):
+    for found, expected in (
+        ([one.reading for one in readings], [[v[s, 0] for v in t.readings] for t, s in steps]),
+        (truths, [[v[s, 0] for v in trial.truths] for trial, s in steps]),
+    ):
+        for row, others in zip(found, expected, strict=True):
             for value, other in zip(row, others, strict=True):
                 np.testing.assert_array_equal(value, other)
-    assert found["stop_reasons"] == list(log.stop_reasons)
+    assert stop_reasons == list(log.stop_reasons)
     for eye in range(2):
-        assert found["images", eye] == log.trials[-1].images[eye][-1]
+        newest = [one.images[eye] for one in events if one.images[eye] is not None][-1]
+        assert newest == log.trials[-1].images[eye][-1]
 
 
 def times_of(events):
     return [float(one.reading.time_s) for one in events.readings]
 
 
-def places_of(path):
-    with closing(GrowingFile(path)) as file:
-        return list(file.places())
+def ends_of(path):
+    """Whether each record of a log is a chunk, and where it ends."""
+    with path.open("rb") as file:
+        reader = stream_reader.StreamReader(file, emit_chunks=True)
+        return [(isinstance(one, stream_reader.Chunk), file.tell()) for one in reader.records]
 
 
 @pytest.mark.slow
@@ -129,7 +121,7 @@ def test_a_log_in_pieces_cut_anywhere_gives_each_event_once_and_stays_as_it_is(l
             assert follower.ended
             assert follower.poll() is None
         assert (path.read_bytes(), os.listdir(folder)) == (data, [path.name])
-    assert_holds(filter(None, events), read_log(logged))
+    assert_holds([one for one in events if one], read_log(logged))
 
 
 def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
@@ -137,7 +129,7 @@ def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
     log = open_log(tmp_path / "open.mcap", clock, facts={"seed": "7"})
     with log, LogFollower(log.path) as follower:
         assert follower.poll() is None
-        assert (follower.head.digest, follower.config) == (HEAD.digest, "# a robot")
+        assert follower.head.digest == HEAD.digest
         assert follower.facts["seed"] == "7"
         log_trial(log, clock, 3)
         assert len(follower.poll().readings) == 4
@@ -148,14 +140,16 @@ def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
 
 def test_a_record_that_is_cut_off_waits_for_its_rest(logged, tmp_path):
     data, path = logged.read_bytes(), tmp_path / "cut.mcap"
-    chunk = [place for place in places_of(logged) if place.opcode == 6][STEPS // 2]
-    for cut in (chunk.start - 4, chunk.start, chunk.start + chunk.size - 1):
+    ends = ends_of(logged)
+    place = [place for place, (is_chunk, _) in enumerate(ends) if is_chunk][STEPS // 2]
+    start, end = ends[place - 1][1], ends[place][1]
+    for cut in (start + 5, start + 9, end - 1):
         path.write_bytes(data[:cut])
         with LogFollower(path, history_s=math.inf) as follower:
             before = follower.poll()
             assert follower.poll() is None
             with path.open("ab") as file:
-                file.write(data[cut : chunk.start + chunk.size])
+                file.write(data[cut:end])
             rest = follower.poll()
             assert follower.poll() is None
         times = times_of(before) + times_of(rest)
@@ -163,8 +157,8 @@ def test_a_record_that_is_cut_off_waits_for_its_rest(logged, tmp_path):
 
 
 def test_only_the_recent_part_of_a_long_log_is_unpacked(tmp_path, monkeypatch):
-    records = Mock(side_effect=GrowingFile.records)
-    monkeypatch.setattr(GrowingFile, "records", lambda *words: records(*words))
+    records = Mock(side_effect=records_in)
+    monkeypatch.setattr("vergence.recording.follow.records_in", records)
     clock, steps = FakeClock(), 300
     with open_log(tmp_path / "long.mcap", clock) as log:
         log_trial(log, clock, 1)
@@ -183,7 +177,7 @@ def test_only_the_recent_part_of_a_long_log_is_unpacked(tmp_path, monkeypatch):
     assert attached < 0.4 * steps
 
 
-def test_images_and_joints_are_the_newest_and_notes_begin_at_warnings(tmp_path, caplog):
+def test_images_are_the_newest_and_notes_begin_at_warnings(tmp_path, caplog):
     caplog.set_level(logging.INFO, "vergence")
     clock = FakeClock()
     with open_log(tmp_path / "eyes.mcap", clock) as log, LogFollower(log.path) as follower:
@@ -191,13 +185,11 @@ def test_images_and_joints_are_the_newest_and_notes_begin_at_warnings(tmp_path, 
         logging.getLogger("vergence.hardware").warning("a servo is hot")
         for number in range(3):
             log.image(0, np.full((48, 64), 40 + number, np.uint8), 99.0 + number)
-            log.joints(99.0 + number, np.full(7, float(number)), np.zeros(7))
         log.sync()
         events = follower.poll()
     left, right = events.images
     assert left.exposed_s == pytest.approx(101.0)
     assert right is None
-    assert events.joints.positions[0] == 2.0
     assert [(one.level, one.message) for one in events.notes] == [(3, "a servo is hot")]
 
 
@@ -223,7 +215,7 @@ def test_the_loss_of_the_file_is_one_error_after_the_last_events(logged, tmp_pat
 
 def test_garbage_is_one_error_after_the_events_before_it(logged, tmp_path):
     path, data = tmp_path / "garbage.mcap", logged.read_bytes()
-    ends = [place.start + place.size for place in places_of(logged)]
+    ends = [end for _, end in ends_of(logged)]
     for garbage in (bytes(64), b"not a record of MCAP", b"\x06" + bytes(8)):  # an empty chunk
         path.write_bytes(data[: ends[len(ends) // 2]] + garbage + data)
         with named(garbage), LogFollower(path, history_s=math.inf) as follower:

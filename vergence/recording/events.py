@@ -1,4 +1,11 @@
-"""A run as it happens: who listens, what is kept in memory, and the health of its loop."""
+"""A run as it happens: who listens, what is kept in memory, and the health of its loop.
+
+```python
+record = Recorder(task, steps, reading=("time_s", "positions"), truth=("pixel_error",))
+rollout(task, controller, steps, record)
+record.reading.positions                        # (steps + 1, n, 7) rad
+```
+"""
 
 import warnings
 from collections import deque
@@ -17,9 +24,23 @@ from vergence.triangulation import triangulate_views
 from vergence.triangulation.fix import gap_sigma
 from vergence.vision.targets import PlanarTarget
 
+MAX_GAP_RATIO: Final = 3.0
+"""Root mean square of gaps over their predicted standard deviation above which they are reported
+(chosen: 3 sigma; one posture's images share its encoder errors, so their mean is no surer)."""
+_WINDOW: Final = 30
+"""Number of images over which gaps are judged (chosen: a second of a webcam)."""
+_MIN_IMAGES: Final = 5
+"""Least number of images for a judgement (chosen)."""
+_SLOW_RAD_S: Final = 0.05
+"""Speed of the eyes' joints below which a gap is judged, rad/s; a date that is wrong by 10 ms then
+turns them by less than 0.5 mrad (chosen)."""
+_Part = TypeVar("_Part", Reading, Truth)
+
 
 class RobotListener:
     """Receives all events of a running robot and ignores them; subclasses override some methods.
+
+    Arrays that it receives do not change afterwards, but for readings and truths.
 
     Attributes:
         images: true to receive the eyes' images.
@@ -31,33 +52,22 @@ class RobotListener:
         """Called at the start of a trial; the next reading is at its time zero."""
 
     def reading(self, reading: Reading, begun_s: float) -> None:
-        """Receive a reading of one head.
-
-        Args:
-            reading: the sensors' reading.
-            begun_s: time of the trial's start, s of the clock.
-        """
+        """Receive a reading of one head, and the time of the trial's start, s of the clock."""
 
     def command(self, command: LoggedCommand) -> None:
-        """Receive a command; its `sent` array must not change afterwards."""
+        """Receive a command."""
 
     def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
-        """Receive a measurement of the joints, see `LoggedJoints`; it must not change later."""
+        """Receive a measurement of the joints, see `LoggedJoints`."""
 
     def truth(self, truth: Truth) -> None:
         """Receive the ground truth of one head."""
 
     def detection(self, detection: LoggedDetection) -> None:
-        """Receive the detection in an image of an eye; its arrays must not change afterwards."""
+        """Receive the detection in an image of an eye."""
 
     def image(self, eye: int, image: Image, exposed_s: float) -> None:
-        """Receive an image of an eye; it must not change afterwards.
-
-        Args:
-            eye: 0 for left, 1 for right.
-            image: (height, width) grey levels.
-            exposed_s: time of the exposure, s of the clock.
-        """
+        """Receive an image of an eye, 0 for left, exposed at a time, s of the clock."""
 
     def stopped(self, reason: str) -> None:
         """Receive the reason for a stop of the head."""
@@ -86,10 +96,7 @@ class Looker(Protocol):
     """The board."""
 
     def look(self, q: FloatArray) -> BoardView:
-        """Bring the head to rest near some joint angles and look once.
-
-        Args:
-            q: (7,) rad, within the limits.
+        """Bring the head to rest near some joint angles, (7,) rad within the limits, and look once.
 
         Raises:
             VergenceError: the head has been stopped, or does not answer.
@@ -97,9 +104,6 @@ class Looker(Protocol):
 
     def close(self) -> None:
         """Bring the head to rest and release it."""
-
-
-_Part = TypeVar("_Part", Reading, Truth)
 
 
 class Recorder:
@@ -194,23 +198,8 @@ def _store(rows: _Part, present: _Part, step: int) -> None:
             part[step] = now
 
 
-MAX_GAP_RATIO: Final = 3.0
-"""Root mean square of gaps over their predicted standard deviation above which they are reported
-(chosen: 3 sigma; one posture's images share its encoder errors, so their mean is no surer)."""
-_WINDOW: Final = 30
-"""Number of images over which gaps are judged (chosen: a second of a webcam)."""
-_MIN_IMAGES: Final = 5
-"""Least number of images for a judgement (chosen)."""
-_SLOW_RAD_S: Final = 0.05
-"""Speed of the eyes' joints below which a gap is judged, rad/s; a date that is wrong by 10 ms then
-turns them by less than 0.5 mrad (chosen)."""
-
-
 class LoopHealth:
-    """Judges a robot's readings, one after the other.
-
-    Args:
-        head: the model that the controller uses.
+    """Judges a robot's readings, one after the other: gaps of the eyes' rays, and late periods.
 
     Attributes:
         missed_periods: number of missed control periods.
@@ -225,11 +214,7 @@ class LoopHealth:
         self.missed_periods = self.periods = 0
 
     def add(self, reading: Reading) -> None:
-        """Judge a reading.
-
-        Args:
-            reading: the reading; its arrays lack the axis over heads.
-        """
+        """Judge a reading, whose arrays lack the axis over heads."""
         time_s, period_s = float(reading.time_s), self._head.timing.period_s
         if time_s < self._last_s:  # a gaze begins
             self._moved_s = time_s
@@ -277,12 +262,7 @@ class LoopHealth:
 
 
 def warn_of_gap(head: HeadModel, readings: Reading) -> None:
-    """Warn if lines of sight miss each other by more than noise explains.
-
-    Args:
-        head: the model that the controller uses.
-        readings: a gaze's readings, arrays of (rows, 1, ...).
-    """
+    """Warn if lines of sight of a gaze, arrays of (rows, 1, ...), miss each other beyond noise."""
     health = LoopHealth(head)
     for row in range(len(readings.time_s)):
         health.add(Reading._make(part[row, 0] for part in readings))

@@ -1,7 +1,9 @@
-"""Reading of a robot's log, complete or truncated by a crash; its content is untrusted."""
+"""Reading of a robot's log, complete or truncated by a crash, its recovery and its replay.
+
+The `mcap` package frames the file. None of a log's content is executed, and its sizes are bounded.
+"""
 
 import os
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,13 +38,71 @@ from vergence.recording.schema import (
 )
 
 if TYPE_CHECKING:
-    from mcap.records import Chunk, McapRecord
+    from mcap.records import McapRecord, Message
 
 EXPECTED_FILE: Final = "a log of a robot in MCAP, as vergence deploy writes it"
 MAX_CHUNK_BYTES: Final = 64 * 2**20
 """Largest size of an unpacked chunk, bytes (chosen: far above a log's, whose chunks span 50 ms)."""
-_MAX_UNPACKING_RATIO: Final = 200
-"""Largest ratio of unpacked to packed bytes, beyond a first chunk (chosen: logs have 5 to 15)."""
+_MAX_TRIAL_S: Final = 1e5
+"""Upper limit of times in a trial, s: a day; a log with later ones is refused (chosen)."""
+_TOPIC_BY_NAME: Final = {topic.name: topic for topic in schema.TOPICS}
+_FILES: Final = (schema.HEAD_FILE, schema.CONFIG_FILE)
+REPLAYED_ENTRY_POINT: Final = f"{__name__}:ReplayedPlant"
+"""Entry point of the plant that replays a log."""
+
+
+# ---- records ----
+
+
+def open_log(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Raises:
+        UnreadableFileError: it cannot be read, or is no regular file.
+        ConfigurationError: mcap is not installed.
+    """
+    try:
+        import mcap.stream_reader  # noqa: F401
+    except ImportError as error:
+        raise ConfigurationError(
+            f"log: expected mcap to be installed: {how_to_install('robot')}"
+        ) from error
+    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+        raise UnreadableFileError(os.fspath(path), "no regular file", EXPECTED_FILE)
+    try:
+        return open(path, "rb")
+    except OSError as error:
+        raise UnreadableFileError(
+            os.fspath(path), error.strerror or str(error), EXPECTED_FILE
+        ) from error
+
+
+def records_in(chunk: "McapRecord") -> "list[McapRecord]":
+    """Records in a chunk of bounded size, or the record alone; damage can raise anything."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import breakup_chunk
+
+    if not isinstance(chunk, Chunk):
+        return [chunk]
+    size = chunk.uncompressed_size
+    if size > MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk of {size} bytes")
+    if chunk.compression == "zstd":
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            data = reader.read(size + 1)
+    elif chunk.compression == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression:
+        raise ValueError(f"a chunk packed by {chunk.compression!r:.40}, not by zstd or lz4")
+    else:
+        data = chunk.data
+    if len(data) != size:
+        raise ValueError(f"a chunk of other than the {size} bytes that it says")
+    return breakup_chunk(replace(chunk, compression="", data=data), True)
 
 
 def read_records(
@@ -58,21 +118,18 @@ def read_records(
         UnreadableFileError: the file cannot be read, or is no MCAP file.
         ConfigurationError: mcap is not installed.
     """
-    require_mcap()
-    from mcap.stream_reader import StreamReader
+    with open_log(path) as file:
+        from mcap.stream_reader import StreamReader
 
-    with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
-        unpacker = ChunkUnpacker()
-        unpacker.allow(size)
         reader = iter(StreamReader(file, emit_chunks=True, record_size_limit=size).records)
         begun = False
         while True:
             try:
-                inside = unpacker.records_in(next(reader))
+                inside = records_in(next(reader))
             except StopIteration:
                 return
-            except (Exception, MemoryError) as error:  # damage can make the library raise anything
+            except Exception as error:  # damage can make the library raise anything
                 if not begun:
                     reason = "it is no MCAP file" if size else "it is empty"
                     raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE) from error
@@ -82,98 +139,41 @@ def read_records(
             yield from inside
 
 
-def require_mcap() -> None:
-    """Check that mcap is installed.
+def recover_log(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
+    """Copy all readable records of a truncated MCAP file to a new, complete one.
 
     Raises:
-        ConfigurationError: it is not.
+        UnreadableFileError: the file is no MCAP file.
+        OSError: the new file cannot be written.
     """
-    try:
-        import mcap.stream_reader  # noqa: F401
-    except ImportError as error:
-        raise ConfigurationError(
-            f"log: expected mcap to be installed: {how_to_install('robot')}"
-        ) from error
+    from mcap.records import Attachment, Channel, Message, Metadata, Schema
+    from mcap.writer import Writer
 
-
-class ChunkUnpacker:
-    """Unpacking of a file's chunks, with limits on the size of each and of all together."""
-
-    def __init__(self) -> None:
-        self._left = MAX_CHUNK_BYTES
-
-    def allow(self, size: int) -> None:
-        """Allow as much more as this number of bytes of the file may hold when unpacked."""
-        self._left += _MAX_UNPACKING_RATIO * size
-
-    def records_in(self, record: "McapRecord") -> "list[McapRecord]":
-        """Records in a chunk; the record alone if it is no chunk. Damage can raise anything."""
-        from mcap.records import Chunk
-        from mcap.stream_reader import breakup_chunk
-
-        if not isinstance(record, Chunk):
-            return [record]
-        data = _unpacked(record, min(self._left, MAX_CHUNK_BYTES))
-        self._left -= len(data)
-        return breakup_chunk(replace(record, compression="", data=data), True)
-
-
-def _unpacked(chunk: "Chunk", most: int) -> bytes:
-    """Unpack a chunk, with a limit on its size.
-
-    Args:
-        chunk: the chunk.
-        most: largest allowed size, bytes.
-
-    Raises:
-        ValueError: the size is above the limit or differs from the stated one, or the compression
-            is unknown.
-    """
-    size = chunk.uncompressed_size
-    if size > most:
-        raise ValueError(f"a chunk of {size} bytes")
-    if not chunk.compression:
-        return chunk.data
-    if chunk.compression == "zstd":
-        import zstandard
-
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
-            return _whole(reader.read(size + 1), size)
-    if chunk.compression == "lz4":
-        import lz4.frame  # type: ignore[import-untyped]
-
-        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
-        return _whole(data, size)
-    raise ValueError(f"a chunk packed by {chunk.compression!r:.40}, not by zstd or lz4")
-
-
-def _whole(data: bytes, size: int) -> bytes:
-    if len(data) != size:
-        raise ValueError(f"a chunk of other than the {size} bytes that it says")
-    return data
-
-
-def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a regular file for reading.
-
-    Raises:
-        UnreadableFileError: it cannot be read, or is no regular file.
-    """
-    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
-        raise UnreadableFileError(os.fspath(path), "no regular file", EXPECTED_FILE)
-    try:
-        return open(path, "rb")
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE) from error
-
-
-if TYPE_CHECKING:
-    from mcap.records import McapRecord
-
-_INTEGER_PATTERN: Final = re.compile("-?[0-9]{1,19}")
-_TOPIC_BY_NAME: Final = {topic.name: topic for topic in schema.TOPICS}
-_FILES: Final = (schema.HEAD_FILE, schema.CONFIG_FILE)
+    schemas = {0: 0}
+    channels: dict[int, int] = {}
+    with open(out, "xb") as file:
+        writer = cast(Any, Writer(file))  # some of its methods have no types
+        writer.start()
+        for one in read_records(path):
+            if isinstance(one, Message):
+                if one.channel_id in channels:
+                    number = channels[one.channel_id]
+                    writer.add_message(
+                        number, one.log_time, one.data, one.publish_time, one.sequence
+                    )
+            elif isinstance(one, Schema) and one.id not in schemas:  # a file's end repeats them
+                schemas[one.id] = writer.register_schema(one.name, one.encoding, one.data)
+            elif isinstance(one, Channel) and one.id not in channels:
+                channels[one.id] = writer.register_channel(
+                    one.topic, one.message_encoding, schemas.get(one.schema_id, 0), one.metadata
+                )
+            elif isinstance(one, Metadata):
+                writer.add_metadata(one.name, one.metadata)
+            elif isinstance(one, Attachment):
+                writer.add_attachment(
+                    one.create_time, one.log_time, one.name, one.media_type, one.data
+                )
+        writer.finish()
 
 
 class LogContent:
@@ -191,14 +191,7 @@ class LogContent:
         self.topics: dict[int, Topic] = {}
 
     def add(self, record: "McapRecord") -> Topic | None:
-        """Keep a record, unless it is a message.
-
-        Args:
-            record: the record.
-
-        Returns:
-            The topic if the record is a message of a known one, else None.
-        """
+        """Keep a record, unless it is a message: return the topic of one, if it is known."""
         from mcap.records import Attachment, Channel, Message, Metadata
 
         if isinstance(record, Message):
@@ -213,29 +206,19 @@ class LogContent:
             self.files[record.name] = record.data.decode("utf-8", "replace")
         return None
 
-    @property
-    def has_head(self) -> bool:
-        """True if the head and the facts have been read."""
-        return schema.HEAD_FILE in self.files and bool(self.facts)
-
     def head(self, path: str | os.PathLike[str], headless: str = "it has no head") -> HeadModel:
-        """The model that the controller uses.
-
-        Args:
-            path: path of the file, for messages.
-            headless: reason of the error if no head has been read.
+        """The model that the controller uses, of the log at a path.
 
         Raises:
             UnreadableFileError: no head has been read, or the log has another schema.
             ConfigurationError: the head is invalid.
         """
-        if not self.has_head:
+        if schema.HEAD_FILE not in self.files or not self.facts:
             raise UnreadableFileError(os.fspath(path), headless, EXPECTED_FILE)
-        if self.facts.get("schema") != schema.SCHEMA_VERSION:
+        version = self.facts.get("schema", "unknown")
+        if version != schema.SCHEMA_VERSION:
             raise UnreadableFileError(
-                os.fspath(path),
-                f"its schema is {self.facts.get('schema', 'unknown')!r:.40}",
-                f"schema {schema.SCHEMA_VERSION}",
+                os.fspath(path), f"its schema is {version!r:.40}", f"schema {schema.SCHEMA_VERSION}"
             )
         try:
             return parse_head(self.files[schema.HEAD_FILE])
@@ -244,10 +227,6 @@ class LogContent:
 
     def message(self, topic: Topic, data: bytes) -> Any:
         """Decode a message.
-
-        Args:
-            topic: topic of the message.
-            data: JSON.
 
         Returns:
             The trial's number; `begun_s` and a `Reading`; a `LoggedCommand`, `LoggedJoints`,
@@ -278,56 +257,27 @@ class LogContent:
         if topic is schema.FAULT:
             return fields["text"]
         if topic in schema.IMAGES:
-            return 1e-9 * (fields["timestamp"] - self._clock_zero_ns()), fields["data"]
+            zero_ns = self.facts.get("clock_zero_ns", "")
+            try:
+                return 1e-9 * (fields["timestamp"] - int(zero_ns)), fields["data"]
+            except (ValueError, OverflowError) as error:
+                raise ConfigurationError(
+                    f"clock_zero_ns: expected ns, got {zero_ns!r:.40}"
+                ) from error
         return fields
-
-    def _clock_zero_ns(self) -> int:
-        text = self.facts.get("clock_zero_ns", "")
-        if not _INTEGER_PATTERN.fullmatch(text):
-            raise ConfigurationError(f"clock_zero_ns: expected ns, got {text!r:.40}")
-        return int(text)
-
-
-_SOI_MARKER: Final = b"\xff\xd8"
-_MAX_PIXELS: Final = 64 * 10**6
-"""Largest number of pixels of an image (chosen: above any camera's; a corrupt file of a few KB may
-claim ten times as many)."""
-_SOF_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-"""Markers of the start-of-frame segment, which holds the size (physical: JPEG standard)."""
-_SOS_MARKER: Final = 0xDA
-"""Marker of the start-of-scan segment, after which no size follows (physical: JPEG standard)."""
 
 
 def read_jpeg(data: bytes) -> Image | None:
-    """Decode a JPEG to grey levels, (height, width); None if it is no JPEG, broken or too large."""
-    if not 0 < _pixels(data) <= _MAX_PIXELS:
-        return None
+    """Decode a JPEG to grey levels, (height, width); None if it is broken."""
     try:
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
+    except cv2.error:  # also of more than 2**30 pixels
         return None
     return None if image is None else np.asarray(image, np.uint8)
 
 
-def _pixels(data: bytes) -> int:
-    """Number of pixels that a JPEG's header claims; 0 if it is no JPEG."""
-    at = len(_SOI_MARKER)
-    if not data.startswith(_SOI_MARKER):
-        return 0
-    while at + 9 <= len(data) and data[at] == 0xFF and data[at + 1] != _SOS_MARKER:
-        if data[at + 1] in _SOF_MARKERS:
-            height, width = (int.from_bytes(data[at + i : at + i + 2], "big") for i in (5, 7))
-            return height * width
-        at += 1 if data[at + 1] == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return 0
-
-
-if TYPE_CHECKING:
-    from mcap.records import Message
-
-_MAX_TRIAL_S: Final = 1e5
-"""Upper limit of times in a trial, s: a day; a log with later ones is refused (chosen)."""
+# ---- whole logs ----
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -360,16 +310,11 @@ class LoggedTrial:
     def frames(self, step: int) -> tuple[Image, Image] | None:
         """Newest images of both eyes at a step, grey levels; None if one is missing or broken."""
         now_s = self.begun_s + float(self.readings.time_s[step, 0])
-        found = []
-        for images in self.images:
-            jpeg = next((data for at, data in reversed(images) if at <= now_s), None)
-            if jpeg is None:
-                return None
-            image = read_jpeg(jpeg)
-            if image is None:
-                return None
-            found.append(image)
-        return found[0], found[1]
+        left, right = (
+            read_jpeg(next((data for at, data in reversed(images) if at <= now_s), b""))
+            for images in self.images
+        )
+        return None if left is None or right is None else (left, right)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -402,15 +347,15 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         ConfigurationError: a message does not match its topic, a trial is inconsistent, or mcap is
             not installed.
     """
-    parts = _LogBuilder()
-    for record in read_records(path, parts.broken):
+    parts, reasons = _LogBuilder(), [""]
+    for record in read_records(path, reasons.append):
         topic = parts.add(record)
         if topic is not None:
             try:
                 parts.add_message(topic, cast("Message", record).data)
             except ConfigurationError as error:
                 raise ConfigurationError(f"{path}: {error}") from error
-    head = parts.head(path, "it is cut off before its head" if parts.cut_off else "it has no head")
+    head = parts.head(path, "it is cut off before its head" if reasons[-1] else "it has no head")
     try:
         trials = tuple(trial.finish() for trial in parts.trials if trial.readings)
     except ConfigurationError as error:
@@ -423,8 +368,8 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         trials=trials,
         joints=tuple(parts.joints),
         detections=tuple(parts.detections),
-        stop_reasons=tuple(parts.faults),
-        truncation_reason=parts.cut_off,
+        stop_reasons=tuple(parts.stop_reasons),
+        truncation_reason=reasons[-1],
     )
 
 
@@ -483,12 +428,7 @@ class _LogBuilder(LogContent):
         self.trials: list[_OpenTrial] = []
         self.joints: list[LoggedJoints] = []
         self.detections: list[LoggedDetection] = []
-        self.faults: list[str] = []
-        self.cut_off = ""
-
-    def broken(self, reason: str) -> None:
-        """Note that the file ends early."""
-        self.cut_off = reason
+        self.stop_reasons: list[str] = []
 
     def add_message(self, topic: Topic, data: bytes) -> None:
         """Add a message of the file."""
@@ -500,7 +440,7 @@ class _LogBuilder(LogContent):
         elif topic is schema.JOINTS:
             self.joints.append(value)
         elif topic is schema.FAULT:
-            self.faults.append(value)
+            self.stop_reasons.append(value)
         elif not self.trials:
             return
         elif topic is schema.READING:
@@ -515,54 +455,7 @@ class _LogBuilder(LogContent):
             self.trials[-1].images[schema.IMAGES.index(topic)].append(value)
 
 
-def recover_log(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
-    """Copy all readable records of an MCAP file to a new, complete one, with an index and an end.
-
-    Args:
-        path: the truncated file.
-        out: the new file.
-
-    Raises:
-        UnreadableFileError: the file is no MCAP file.
-        OSError: the new file cannot be written.
-    """
-    from mcap.records import Attachment, Channel, Message, Metadata, Schema
-    from mcap.writer import Writer
-
-    schemas: dict[int, tuple[Schema, int]] = {}
-    channels: dict[int, tuple[Channel, int]] = {}
-    with open(out, "xb") as file:
-        writer = cast(Any, Writer(file))  # some of its methods have no types
-        writer.start()
-        for one in read_records(path):
-            if isinstance(one, Schema):
-                if one.id not in schemas or schemas[one.id][0] != one:  # a file's end repeats them
-                    number = writer.register_schema(one.name, one.encoding, one.data)
-                    schemas[one.id] = one, number
-            elif isinstance(one, Channel):
-                if one.id not in channels or channels[one.id][0] != one:
-                    _, known = schemas.get(one.schema_id, (None, 0))
-                    number = writer.register_channel(
-                        one.topic, one.message_encoding, known, one.metadata
-                    )
-                    channels[one.id] = one, number
-            elif isinstance(one, Message):
-                if one.channel_id in channels:
-                    number = channels[one.channel_id][1]
-                    writer.add_message(
-                        number, one.log_time, one.data, one.publish_time, one.sequence
-                    )
-            elif isinstance(one, Metadata):
-                writer.add_metadata(one.name, one.metadata)
-            elif isinstance(one, Attachment):
-                writer.add_attachment(
-                    one.create_time, one.log_time, one.name, one.media_type, one.data
-                )
-        writer.finish()
-
-
-REPLAYED_ENTRY_POINT: Final = f"{__name__}:ReplayedPlant"
-"""Entry point of the plant."""
+# ---- replay ----
 
 
 class ReplayedPlant(Plant):
@@ -576,16 +469,11 @@ class ReplayedPlant(Plant):
     Attributes:
         commands: list of the velocities, (7,) rad/s, that the policy has commanded in the current
             trial.
-
-    Raises:
-        ConfigurationError: num is not 1.
     """
 
     max_num = 1
 
     def __init__(self, head: HeadModel, num: int = 1, *, trials: Sequence[LoggedTrial]) -> None:
-        if num != 1:
-            raise ConfigurationError(f"num: expected 1, as a log is of one head, got {num}")
         self.head, self.num = head, num
         self.commands: list[FloatArray] = []
         self._trials = list(trials)

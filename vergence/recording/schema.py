@@ -1,4 +1,4 @@
-"""Topics of a log, their fields, and their JSON schemas.
+"""Topics of a log, their fields, and their JSON.
 
 A log is an MCAP file of JSON messages. `null` stands for nan. An array is a flat list of numbers,
 the last axis running fastest, with its shape in the schema, as Foxglove's schemas have no lists of
@@ -32,6 +32,10 @@ FACTS_RECORD_NAME: Final = "vergence"
 HEAD_FILE: Final = "head.toml"
 CONFIG_FILE: Final = "hardware.toml"
 """Names of the attachments."""
+_MAX_NUMBER: Final = 1e15
+"""Largest absolute value of a number (chosen: above any measurement, and products stay finite)."""
+_MAX_UNIX_TIME_S: Final = 2**33
+"""Upper limit of times of day, s since 1970: some 270 years (chosen)."""
 
 
 class CommandOrigin(Enum):
@@ -91,12 +95,14 @@ class LoggedDetection(NamedTuple):
     """(n, 2) standard deviations of the corners, px."""
 
 
+# ---- topics ----
+
 Form = NDArray[Any] | type[str] | type[bytes] | type[dict[str, int]]
 """Type of a field: an array with the field's shape and dtype, in which a length of 0 means any
 length; text; bytes in base64; or a time of day, as seconds and nanoseconds."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Topic:
     """A topic of the log: the name and the fields of one kind of message."""
 
@@ -109,11 +115,6 @@ class Topic:
         """The JSON schema."""
         properties = {name: _property(form) for name, form in self.fields.items()}
         return {"title": self.schema_name, "type": "object", "properties": properties}
-
-    @property
-    def encoded_schema(self) -> bytes:
-        """The JSON schema of the topic as bytes, for the MCAP file (not a message)."""
-        return json.dumps(self.schema).encode()
 
 
 def _property(form: Form) -> dict[str, Any]:
@@ -128,15 +129,10 @@ def _property(form: Form) -> dict[str, Any]:
     kind = {"b": "boolean", "i": "integer"}.get(form.dtype.kind, "number")
     if not form.ndim:
         return {"type": kind}
-    return {
-        "type": "array",
-        "items": {"type": kind},
-        "description": f"of the shape {shape_text(form)}",
-    }
+    return {"type": "array", "items": {"type": kind}, "description": f"of the shape {_shape(form)}"}
 
 
-def shape_text(form: NDArray[Any]) -> str:
-    """The shape of a field in words."""
+def _shape(form: NDArray[Any]) -> str:
     return f"({', '.join(str(length) if length else 'n' for length in form.shape)})"
 
 
@@ -145,76 +141,53 @@ def _of_head(empty: Reading | Truth) -> dict[str, Form]:
     return {name: np.array(value[0]) for name, value in empty._asdict().items()}
 
 
-# Forms by shape: scalar float, scalar integer, seven joints, one pixel, any number of pixels
-# (numerical).
 _NUMBER: Final[Form] = np.zeros(())
 _INTEGER: Final[Form] = np.zeros((), dtype=np.int64)
-_JOINT_VECTOR: Final[Form] = np.zeros(7)
+_JOINTS: Final[Form] = np.zeros(7)
 _PIXEL: Final[Form] = np.zeros(2)
 _PIXELS: Final[Form] = np.zeros((0, 2))
-TRIAL: Final = Topic(name="/trial", schema_name="vergence.Trial", fields={"number": _INTEGER})
+_COMMAND_FORMS: Final = (_NUMBER, _JOINTS, _JOINTS, str, str)
+_DETECTION_FORMS: Final = (
+    str, _NUMBER, _NUMBER, _JOINTS, _PIXEL, _PIXEL, _PIXELS, _PIXELS,
+)  # fmt: skip
+TRIAL: Final = Topic("/trial", "vergence.Trial", {"number": _INTEGER})
 """Start of a trial; the next reading is at its time zero."""
 READING: Final = Topic(
-    name="/reading",
-    schema_name="vergence.Reading",
-    fields={"begun_s": _NUMBER, **_of_head(Reading.empty(1))},
+    "/reading", "vergence.Reading", {"begun_s": _NUMBER, **_of_head(Reading.empty(1))}
 )
 """One per control period, see `vergence.envs.reading.Reading`."""
 COMMAND: Final = Topic(
-    name="/command",
-    schema_name="vergence.Command",
-    fields={
-        "clock_s": _NUMBER,
-        "asked": _JOINT_VECTOR,
-        "sent": _JOINT_VECTOR,
-        "verdict": str,
-        "by": str,
-    },
+    "/command", "vergence.Command", dict(zip(LoggedCommand._fields, _COMMAND_FORMS, strict=True))
 )
 """Each command; a policy's precedes the reading at its period's end, see `LoggedCommand`."""
 JOINTS: Final = Topic(
-    name="/joints",
-    schema_name="vergence.Joints",
-    fields={"clock_s": _NUMBER, "positions": _JOINT_VECTOR, "velocities": _JOINT_VECTOR},
+    "/joints",
+    "vergence.Joints",
+    dict(zip(LoggedJoints._fields, (_NUMBER, _JOINTS, _JOINTS), strict=True)),
 )
 """Each measurement of the joints, in trials and while moving to their start, see `LoggedJoints`."""
-TRUTH: Final = Topic(name="/truth", schema_name="vergence.Truth", fields=_of_head(Truth.unknown(1)))
+TRUTH: Final = Topic("/truth", "vergence.Truth", _of_head(Truth.unknown(1)))
 """Ground truth after a reading, if it is known, see `vergence.envs.reading.Truth`."""
 DETECTION: Final = Topic(
-    name="/detection",
-    schema_name="vergence.Detection",
-    fields={
-        "eye": str,
-        "exposed_s": _NUMBER,
-        "ready_s": _NUMBER,
-        "positions": _JOINT_VECTOR,
-        "point_px": _PIXEL,
-        "sigma_px": _PIXEL,
-        "corners_px": _PIXELS,
-        "corners_sigma_px": _PIXELS,
-    },
+    "/detection",
+    "vergence.Detection",
+    dict(zip(LoggedDetection._fields, _DETECTION_FORMS, strict=True)),
 )
 """One per image of an eye, see `LoggedDetection`."""
-FAULT: Final = Topic(name="/fault", schema_name="vergence.Fault", fields={"text": str})
+FAULT: Final = Topic("/fault", "vergence.Fault", {"text": str})
 """Reason for a stop of the head."""
 NOTES: Final = Topic(
-    name="/log",
-    schema_name="foxglove.Log",
-    fields={
-        "timestamp": dict[str, int],
-        "level": _INTEGER,
-        "message": str,
-        "name": str,
-        "file": str,
-        "line": _INTEGER,
-    },
-)
+    "/log",
+    "foxglove.Log",
+    {"timestamp": dict[str, int], "level": _INTEGER, "message": str, "name": str, "file": str,
+     "line": _INTEGER},
+)  # fmt: skip
 """Messages of the package's loggers."""
 IMAGES: Final = tuple(
     Topic(
-        name=f"/image/{eye}",
-        schema_name="foxglove.CompressedImage",
-        fields={"timestamp": dict[str, int], "frame_id": str, "data": bytes, "format": str},
+        f"/image/{eye}",
+        "foxglove.CompressedImage",
+        {"timestamp": dict[str, int], "frame_id": str, "data": bytes, "format": str},
     )
     for eye in EYE_NAMES
 )
@@ -222,10 +195,7 @@ IMAGES: Final = tuple(
 TOPICS: Final = (TRIAL, READING, COMMAND, JOINTS, TRUTH, DETECTION, FAULT, NOTES, *IMAGES)
 
 
-_MAX_NUMBER: Final = 1e15
-"""Largest absolute value of a number (chosen: above any measurement, and products stay finite)."""
-_MAX_UNIX_TIME_S: Final = 2**33
-"""Upper limit of times of day, s since 1970: some 270 years (chosen)."""
+# ---- messages ----
 
 
 def encode_message(message: dict[str, Any]) -> bytes:
@@ -245,28 +215,15 @@ def _json_value(value: Any) -> Any:
     return value
 
 
-def foxglove_time(time_ns: int) -> dict[str, int]:
-    """A time of day, ns since 1970, in the form of Foxglove's schemas."""
-    return {"sec": time_ns // 10**9, "nsec": time_ns % 10**9}
-
-
 def decode_message(topic: Topic, data: bytes) -> dict[str, Any]:
-    """Decode the fields of a message.
-
-    Args:
-        topic: topic of the message.
-        data: JSON.
-
-    Returns:
-        Values by field: arrays, numbers for arrays without axes, text, bytes, or ns since 1970.
+    """Values of a message by field: arrays, numbers, text, bytes, or ns since 1970.
 
     Raises:
-        ConfigurationError: the data is no JSON object, or a field is missing or does not match its
-            form.
+        ConfigurationError: the data is no JSON object, or a field does not match its form.
     """
     try:
         found = json.loads(data)
-    except (ValueError, RecursionError, MemoryError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{topic.name}: expected JSON, got {data[:40]!r}") from error
     if not isinstance(found, dict):
         raise ConfigurationError(f"{topic.name}: expected an object, got {_shown(found)}")
@@ -325,7 +282,7 @@ def _words(form: Form) -> str:
     kind = {"b": "true or false", "i": "a whole number"}.get(
         form.dtype.kind, f"a number up to {_MAX_NUMBER:g} in size, or null"
     )
-    return f"{kind}, in the shape {shape_text(form)}" if form.ndim else kind
+    return f"{kind}, in the shape {_shape(form)}" if form.ndim else kind
 
 
 def escape_control_characters(text: str) -> str:
@@ -334,5 +291,4 @@ def escape_control_characters(text: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Abbreviate a value for an error message."""
     return f"{reprlib.repr(value):.80}"
