@@ -199,12 +199,7 @@ def _store(rows: _Part, present: _Part, step: int) -> None:
 
 
 class LoopHealth:
-    """Judges a robot's readings, one after the other: gaps of the eyes' rays, and late periods.
-
-    Attributes:
-        missed_periods: number of missed control periods.
-        periods: number of all control periods.
-    """
+    """Judges a robot's readings, one after the other: gaps of the eyes' rays, and late periods."""
 
     def __init__(self, head: HeadModel) -> None:
         self._head = head

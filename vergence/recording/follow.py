@@ -136,10 +136,7 @@ class LogFollower:
         self._file.close()
 
     def poll(self) -> NewEvents | None:
-        """Read what has been appended since the last call.
-
-        Returns:
-            The new events; None if there are none.
+        """What has been appended since the last call; None if there is nothing new.
 
         Raises:
             UnreadableFileError: the file is no log or is damaged, or it was deleted, replaced or
@@ -215,10 +212,7 @@ class LogFollower:
                 return
 
     def _records(self) -> "Iterator[McapRecord]":
-        """Yield the records of use that have become whole since the last call, in order.
-
-        Of a message index, only the channel is read, as there are many.
-        """
+        """Yield used records that have become whole; of a message index, only its channel."""
         from mcap.data_stream import ReadDataStream
         from mcap.opcode import Opcode
         from mcap.records import Attachment, Chunk, DataEnd, MessageIndex, Metadata
@@ -237,11 +231,9 @@ class LogFollower:
             self._at = len(MCAP0_MAGIC)
         stream = ReadDataStream(self._file)
         used: dict[int, Any] = {
-            Opcode.CHUNK: Chunk,
-            Opcode.ATTACHMENT: Attachment,
-            Opcode.METADATA: Metadata,
-            Opcode.DATA_END: DataEnd,
-        }
+            Opcode.CHUNK: Chunk, Opcode.DATA_END: DataEnd,
+            Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata,
+        }  # fmt: skip
         while self._at + _FRAME_BYTES <= size:
             self._file.seek(self._at)
             kind, length = stream.read1(), stream.read8()
@@ -345,17 +337,13 @@ class Click(NamedTuple):
 
 
 def write_click(log: Path, click: Click) -> None:
-    """Leave a click for the robot that writes a log.
-
-    Raises:
-        OSError: the folder cannot be written to.
-    """
+    """Leave a click for the robot that writes a log."""
     u, v = click.pixel.tolist()
     write_atomic(log.with_suffix(".click"), json.dumps([click.eye, u, v, click.exposed_s]))
 
 
 class ClickReader:
-    """Reads the newest click beside a log, without ever waiting; remove it with `close`."""
+    """Reads the newest click beside a log, without ever waiting; `close` removes it."""
 
     def __init__(self, log: Path) -> None:
         self._file = log.with_suffix(".click")

@@ -47,6 +47,11 @@ _MAX_TRIAL_S: Final = 1e5
 """Upper limit of times in a trial, s: a day; a log with later ones is refused (chosen)."""
 _TOPIC_BY_NAME: Final = {topic.name: topic for topic in schema.TOPICS}
 _FILES: Final = (schema.HEAD_FILE, schema.CONFIG_FILE)
+_TYPES: Final[dict[str, type]] = {
+    "/command": LoggedCommand, "/joints": LoggedJoints, "/truth": Truth,
+    "/detection": LoggedDetection,
+}  # fmt: skip
+"""Types of messages by the names of their topics."""
 REPLAYED_ENTRY_POINT: Final = f"{__name__}:ReplayedPlant"
 """Entry point of the plant that replays a log."""
 
@@ -55,12 +60,7 @@ REPLAYED_ENTRY_POINT: Final = f"{__name__}:ReplayedPlant"
 
 
 def open_log(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a regular file for reading.
-
-    Raises:
-        UnreadableFileError: it cannot be read, or is no regular file.
-        ConfigurationError: mcap is not installed.
-    """
+    """Open a regular file for reading; refuse others, and all without the package mcap."""
     try:
         import mcap.stream_reader  # noqa: F401
     except ImportError as error:
@@ -110,13 +110,10 @@ def read_records(
 ) -> "Iterator[McapRecord]":
     """Yield a file's records in order, with those in chunks, up to its end or to any damage.
 
-    Args:
-        path: path of the file.
-        on_truncation: called with the reason if the file ends early.
+    `on_truncation` is called with the reason if the file ends early.
 
     Raises:
         UnreadableFileError: the file cannot be read, or is no MCAP file.
-        ConfigurationError: mcap is not installed.
     """
     with open_log(path) as file:
         from mcap.stream_reader import StreamReader
@@ -140,12 +137,7 @@ def read_records(
 
 
 def recover_log(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
-    """Copy all readable records of a truncated MCAP file to a new, complete one.
-
-    Raises:
-        UnreadableFileError: the file is no MCAP file.
-        OSError: the new file cannot be written.
-    """
+    """Copy all readable records of a truncated MCAP file to a new, complete one."""
     from mcap.records import Attachment, Channel, Message, Metadata, Schema
     from mcap.writer import Writer
 
@@ -177,18 +169,14 @@ def recover_log(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> No
 
 
 class LogContent:
-    """Facts, attachments and channels of the records read so far, which decode the messages.
-
-    Attributes:
-        facts: facts about the log, by name; empty before they are read.
-        files: texts of the attachments of a log, by name.
-        topics: topics by the number of their channel in the file.
-    """
+    """Facts, attachments and channels of the records read so far, which decode the messages."""
 
     def __init__(self) -> None:
         self.facts: dict[str, str] = {}
         self.files: dict[str, str] = {}
+        """Texts of the attachments of a log, by name."""
         self.topics: dict[int, Topic] = {}
+        """Topics by the number of their channel in the file."""
 
     def add(self, record: "McapRecord") -> Topic | None:
         """Keep a record, unless it is a message: return the topic of one, if it is known."""
@@ -207,12 +195,7 @@ class LogContent:
         return None
 
     def head(self, path: str | os.PathLike[str], headless: str = "it has no head") -> HeadModel:
-        """The model that the controller uses, of the log at a path.
-
-        Raises:
-            UnreadableFileError: no head has been read, or the log has another schema.
-            ConfigurationError: the head is invalid.
-        """
+        """The model that the controller uses, of the log at a path."""
         if schema.HEAD_FILE not in self.files or not self.facts:
             raise UnreadableFileError(os.fspath(path), headless, EXPECTED_FILE)
         version = self.facts.get("schema", "unknown")
@@ -226,36 +209,26 @@ class LogContent:
             raise ConfigurationError(f"{path}: {schema.HEAD_FILE}: {error}") from error
 
     def message(self, topic: Topic, data: bytes) -> Any:
-        """Decode a message.
+        """Decode a message; its arrays lack the axis over heads.
 
-        Returns:
-            The trial's number; `begun_s` and a `Reading`; a `LoggedCommand`, `LoggedJoints`,
-            `Truth` or `LoggedDetection`; a fault's text; the exposure time, s of the clock, and
-            the JPEG of an image; or the fields of a note. Arrays lack the axis over heads.
-
-        Raises:
-            ConfigurationError: the message does not match its topic, or `clock_zero_ns` is invalid.
+        Gives the trial's number; `begun_s` and a `Reading`; a `LoggedCommand`, `LoggedJoints`,
+        `Truth` or `LoggedDetection`; a fault's text; the exposure time, s of the clock, and the
+        JPEG of an image; or the fields of a note.
         """
         fields = decode_message(topic, data)
         if topic is schema.TRIAL:
             return fields["number"]
         if topic is schema.READING:
             return fields.pop("begun_s"), Reading(**fields)
-        if topic is schema.COMMAND:
-            return LoggedCommand(**fields)
-        if topic is schema.JOINTS:
-            return LoggedJoints(**fields)
-        if topic is schema.TRUTH:
-            return Truth(**fields)
-        if topic is schema.DETECTION:
-            if fields["eye"] not in EYE_NAMES:
-                raise ConfigurationError(
-                    f"{topic.name}: eye: expected one of {', '.join(EYE_NAMES)}, got "
-                    f"{fields['eye']!r:.40}"
-                )
-            return LoggedDetection(**fields)
         if topic is schema.FAULT:
             return fields["text"]
+        if topic is schema.DETECTION and fields["eye"] not in EYE_NAMES:
+            raise ConfigurationError(
+                f"{topic.name}: eye: expected one of {', '.join(EYE_NAMES)}, got "
+                f"{fields['eye']!r:.40}"
+            )
+        if topic.name in _TYPES:
+            return _TYPES[topic.name](**fields)
         if topic in schema.IMAGES:
             zero_ns = self.facts.get("clock_zero_ns", "")
             try:
@@ -461,14 +434,7 @@ class _LogBuilder(LogContent):
 class ReplayedPlant(Plant):
     """One head with a log's readings; each reset begins the log's next trial.
 
-    Args:
-        head: the model that the controller uses.
-        num: number of heads, 1.
-        trials: the logged trials.
-
-    Attributes:
-        commands: list of the velocities, (7,) rad/s, that the policy has commanded in the current
-            trial.
+    `commands` lists the velocities, (7,) rad/s, that the policy has commanded in the current trial.
     """
 
     max_num = 1
@@ -480,11 +446,7 @@ class ReplayedPlant(Plant):
         self._place, self._step = -1, 0
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
-        """Begin the next trial; the positions are the log's, the arguments are ignored.
-
-        Raises:
-            HardwareError: the log has no further trial.
-        """
+        """Begin the next trial; the positions are the log's, the arguments are ignored."""
         if self._place + 1 >= len(self._trials):
             raise HardwareError(f"the log has no more than {len(self._trials)} trials")
         self._place += 1
@@ -492,11 +454,7 @@ class ReplayedPlant(Plant):
         return self._reading()
 
     def step(self, command: FloatArray) -> Reading:
-        """Keep the command, and return the log's next reading.
-
-        Raises:
-            HardwareError: the trial has no further reading.
-        """
+        """Keep the command, and return the log's next reading."""
         if self._step >= self._trial.steps:
             raise HardwareError(f"the trial has no more than {self._trial.steps} control periods")
         self.commands.append(np.array(command[0]))

@@ -34,6 +34,8 @@ CONFIG_FILE: Final = "hardware.toml"
 """Names of the attachments."""
 _MAX_NUMBER: Final = 1e15
 """Largest absolute value of a number (chosen: above any measurement, and products stay finite)."""
+_JSON_TYPES: Final[dict[str, set[type]]] = {"b": {bool}, "i": {int}, "f": {int, float, type(None)}}
+"""Types of a JSON value by the kind of its array."""
 _MAX_UNIX_TIME_S: Final = 2**33
 """Upper limit of times of day, s since 1970: some 270 years (chosen)."""
 
@@ -255,24 +257,16 @@ def _decoded(form: Form, value: Any) -> Any:
 
 def _array(form: NDArray[Any], value: Any) -> Any:
     items = value if isinstance(value, list) else [value]
-    flat = isinstance(value, list) == bool(form.ndim)
-    if flat and all(_is_of(form.dtype.kind, one) for one in items):
-        with suppress(ValueError, OverflowError):  # wrong number of items, or integer out of range
-            found = np.array(value, dtype=form.dtype)
-            found = found.reshape((-1, *form.shape[1:]) if 0 in form.shape else form.shape)
+    if isinstance(value, list) != bool(form.ndim):
+        return None
+    if not _JSON_TYPES[form.dtype.kind].issuperset(map(type, items)):
+        return None
+    with suppress(ValueError, OverflowError):  # wrong number of items, or integer out of range
+        found = np.array(value, dtype=form.dtype)
+        found = found.reshape((-1, *form.shape[1:]) if 0 in form.shape else form.shape)
+        if form.dtype.kind != "f" or not (np.abs(found) > _MAX_NUMBER).any():
             return found if form.ndim else found.item()
     return None
-
-
-def _is_of(kind: str, value: Any) -> bool:
-    """True if a JSON value fits an array's kind; booleans are not accepted as numbers."""
-    if kind == "b" or isinstance(value, bool):
-        return kind == "b" and isinstance(value, bool)
-    if kind == "i":
-        return isinstance(value, int)
-    return value is None or (
-        isinstance(value, int | float) and -_MAX_NUMBER <= value <= _MAX_NUMBER
-    )
 
 
 def _words(form: Form) -> str:
