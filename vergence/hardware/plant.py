@@ -24,7 +24,7 @@ from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.motion import POINT, Board, motion_rows
 from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
-from vergence.hardware.checks.cameras import check_local_cameras
+from vergence.hardware.camera_checks import check_local_cameras
 from vergence.hardware.checks.servos import raise_errors
 from vergence.hardware.common_time import merge_pair
 from vergence.hardware.compiling import compile_loop_kernels

@@ -4,7 +4,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from vergence.errors import ChecksFailedError, Finding, HardwareError
-from vergence.hardware.checks.cameras import camera_requests, check_cameras
+from vergence.hardware.camera_checks import camera_requests, check_cameras
 from vergence.hardware.checks.line import open_bus
 from vergence.hardware.checks.registers import joint_angle_from_registers
 from vergence.hardware.checks.servos import check_servos
