@@ -1,11 +1,15 @@
-"""Checks of both cameras at once, before anything moves."""
+"""Checks of both cameras at once, before anything moves.
+
+Two cameras on one USB controller share its bandwidth, so their rates are measured together. A slow
+camera is measured alone too, to distinguish its own rate from the controller's limit.
+"""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Protocol
 
 import cv2
 import numpy as np
@@ -112,24 +116,13 @@ def camera_requests(config: HardwareConfig) -> tuple[CameraRequest, ...]:
     )
 
 
-def measure_cameras(
+def _measure(
     requests: Sequence[CameraRequest],
-    *,
-    open: Callable[..., CaptureDevice] = open_capture,
-    clock: Callable[[], float] = time.monotonic,
-    seconds: float = 1.0,
+    open: Callable[..., CaptureDevice],
+    clock: Callable[[], float],
+    seconds: float,
 ) -> tuple[list[CameraState], dict[str, str]]:
-    """Open cameras, all at once, and measure their rates.
-
-    Args:
-        requests: the cameras.
-        open: opens a camera, as `vergence.vision.image.open_capture` does.
-        clock: a monotonic clock, s; called by a thread for each camera.
-        seconds: duration of the measurement of the rates, s.
-
-    Returns:
-        States of the cameras that could be opened, and the reasons of the others by name.
-    """
+    """States of the cameras that could be opened, and the reasons of the others by name."""
     unopened: dict[str, str] = {}
     with suppress_opencv_log(), ExitStack() as opened:
         captures: list[tuple[CameraRequest, CaptureDevice]] = []
@@ -144,20 +137,13 @@ def measure_cameras(
         with ThreadPoolExecutor(max(len(captures), 1)) as pool:
             watched = list(pool.map(lambda one: _watch(one[1], clock, seconds), captures))
         states = [
-            _state(request, capture, seen)
+            _state(request, capture, *seen)
             for (request, capture), seen in zip(captures, watched, strict=True)
         ]
         opened.close()  # so that slow cameras can be opened alone
         if len(states) > 1:
             states = [_with_alone(state, open, clock, seconds) for state in states]
     return states, unopened
-
-
-class _Watched(NamedTuple):
-    """Image size and frame rate of a camera over a time."""
-
-    size: tuple[int, int] | None
-    rate_hz: float
 
 
 def _open(request: CameraRequest, open: Callable[..., CaptureDevice]) -> CaptureDevice:
@@ -171,7 +157,10 @@ def _open(request: CameraRequest, open: Callable[..., CaptureDevice]) -> Capture
     )
 
 
-def _watch(capture: CaptureDevice, clock: Callable[[], float], seconds: float) -> _Watched:
+def _watch(
+    capture: CaptureDevice, clock: Callable[[], float], seconds: float
+) -> tuple[tuple[int, int] | None, float]:
+    """Image size, and frame rate over a time, of a camera."""
     begun_s = clock()
     until_s = begun_s + FIRST_IMAGE_TIMEOUT_S
     times: list[float] = []
@@ -184,15 +173,16 @@ def _watch(capture: CaptureDevice, clock: Callable[[], float], seconds: float) -
         if len(times) == 1:
             until_s = times[0] + _WARM_UP_S + seconds
     if not times:
-        return _Watched(None, 0.0)
+        return None, 0.0
     counted = [time_s for time_s in times if time_s - times[0] >= _WARM_UP_S]
     if len(counted) < 2:
-        return _Watched(size, len(times) / (_WARM_UP_S + seconds))
-    return _Watched(size, (len(counted) - 1) / (counted[-1] - counted[0]))
+        return size, len(times) / (_WARM_UP_S + seconds)
+    return size, (len(counted) - 1) / (counted[-1] - counted[0])
 
 
-def _state(request: CameraRequest, capture: CaptureDevice, watched: _Watched) -> CameraState:
-    size, rate_hz = watched
+def _state(
+    request: CameraRequest, capture: CaptureDevice, size: tuple[int, int] | None, rate_hz: float
+) -> CameraState:
     if not is_local_camera(request.source):  # a stream's settings are those of its server
         return CameraState(
             request=request, size=size, pixel_format="", reported_hz=np.nan, rate_hz=rate_hz,
@@ -227,19 +217,11 @@ def _with_alone(
     except ConfigurationError:  # it has been removed meanwhile
         return state
     try:
-        watched = _watch(capture, clock, seconds)
+        size, alone_hz = _watch(capture, clock, seconds)
     finally:
         capture.release()
-    return replace(state, size=state.size or watched.size, alone_hz=watched.rate_hz)
+    return replace(state, size=state.size or size, alone_hz=alone_hz)
 
-
-__all__ = [
-    "CameraRequest",
-    "CameraState",
-    "camera_requests",
-    "check_cameras",
-    "check_local_cameras",
-]
 
 _EXPOSURE_TOLERANCE: Final = 0.2
 """Tolerance of the exposure as a fraction of the requested one: cameras have coarse steps
@@ -256,12 +238,18 @@ def check_cameras(
     clock: Callable[[], float] = time.monotonic,
     seconds: float = 1.0,
 ) -> tuple[list[CameraState], list[Finding]]:
-    """Find all problems of the cameras; for the arguments see `measure_cameras`.
+    """Open cameras, all at once, measure their rates, and find all problems.
+
+    Args:
+        requests: the cameras.
+        open: opens a camera, as `vergence.vision.image.open_capture` does.
+        clock: a monotonic clock, s; called by a thread for each camera.
+        seconds: duration of the measurement of the rates, s.
 
     Returns:
         States of the cameras that could be opened, and the findings of all cameras.
     """
-    states, unopened = measure_cameras(requests, open=open, clock=clock, seconds=seconds)
+    states, unopened = _measure(requests, open, clock, seconds)
     findings = [
         _unopened(request, unopened[request.name])
         for request in requests
@@ -274,13 +262,7 @@ def check_cameras(
 
 
 def check_local_cameras(config: HardwareConfig) -> list[Finding]:
-    """Find all problems of those cameras of a robot that are connected to this machine.
-
-    Streams over the network are left out, as they are checked while they run.
-
-    Args:
-        config: the robot.
-    """
+    """Find all problems of a robot's cameras but streams, which are checked while they run."""
     requests = [one for one in camera_requests(config) if is_local_camera(one.source)]
     return check_cameras(requests)[1] if requests else []
 
@@ -358,13 +340,7 @@ def _judge_exposure(state: CameraState) -> Iterator[Finding]:
         apart = abs(state.exposure_s - asked_s)
         kept = apart <= _EXPOSURE_TOLERANCE * asked_s or np.isnan(apart)
         if not state.exposure_locked or not kept:
-            how = (
-                "locked"
-                if state.exposure_locked
-                else "automatic"
-                if state.exposure_locked is False
-                else "unknown"
-            )
+            how = {True: "locked", False: "automatic", None: "unknown"}[state.exposure_locked]
             yield Finding(
                 part=request.name,
                 problem=f"expected an exposure locked to {asked_s:g} s, got {how}"
