@@ -190,6 +190,10 @@ class LogFollower:
 
         newest_ns = 0
         for record in self._records():
+            if isinstance(record, MessageIndex):
+                if self._content.topics.get(record.channel_id) is schema.TRIAL:
+                    self._trial_chunk = self._chunk
+                continue
             if isinstance(record, Attachment | Metadata):
                 self._content.add(record)
             begun = isinstance(record, Chunk | DataEnd) or schema.CONFIG_FILE in self._content.files
@@ -204,9 +208,6 @@ class LogFollower:
                 if len(self._content.topics) < len(schema.TOPICS):  # a first chunk holds channels
                     for _ in self._messages(record):
                         pass
-            elif isinstance(record, MessageIndex):
-                if self._content.topics.get(record.channel_id) is schema.TRIAL:
-                    self._trial_chunk = self._chunk
             elif isinstance(record, DataEnd):
                 self.closed = True
                 return
@@ -221,8 +222,8 @@ class LogFollower:
         size = os.fstat(self._file.fileno()).st_size
         if size < self._at:
             raise self._unreadable("it became shorter while it was followed")
+        self._file.seek(self._at)
         if not self._at:
-            self._file.seek(0)
             magic = self._file.read(len(MCAP0_MAGIC))
             if not MCAP0_MAGIC.startswith(magic):
                 raise self._unreadable("it is no MCAP file")
@@ -235,11 +236,11 @@ class LogFollower:
             Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata,
         }  # fmt: skip
         while self._at + _FRAME_BYTES <= size:
-            self._file.seek(self._at)
             kind, length = stream.read1(), stream.read8()
             if not kind or length > MAX_CHUNK_BYTES:
                 raise self._unreadable(f"it is damaged at byte {self._at}")
-            if self._at + _FRAME_BYTES + length > size:
+            end = self._at + _FRAME_BYTES + length
+            if end > size:
                 return
             if kind == Opcode.MESSAGE_INDEX:
                 yield MessageIndex(stream.read2(), [])
@@ -249,7 +250,7 @@ class LogFollower:
                 except Exception as error:  # damage can make the library raise anything
                     raise self._damaged(error) from error
                 yield record
-            self._at += _FRAME_BYTES + length
+            self._at = self._file.seek(end)
 
     def _find_trial(self, recent: "deque[Chunk]") -> None:
         """Read the number of the newest trial if it began in a skipped chunk."""

@@ -261,11 +261,14 @@ def _array(form: NDArray[Any], value: Any) -> Any:
         return None
     if not _JSON_TYPES[form.dtype.kind].issuperset(map(type, items)):
         return None
+    if form.dtype.kind == "f" and not all(
+        one is None or -_MAX_NUMBER <= one <= _MAX_NUMBER for one in items
+    ):
+        return None
     with suppress(ValueError, OverflowError):  # wrong number of items, or integer out of range
         found = np.array(value, dtype=form.dtype)
         found = found.reshape((-1, *form.shape[1:]) if 0 in form.shape else form.shape)
-        if form.dtype.kind != "f" or not (np.abs(found) > _MAX_NUMBER).any():
-            return found if form.ndim else found.item()
+        return found if form.ndim else found.item()
     return None
 
 
