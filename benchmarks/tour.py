@@ -23,7 +23,7 @@ from vergence.errors import VergenceError
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import Deployment, GazeState, deploy
 from vergence.eval.robot.replay import replay
-from vergence.hardware.checks.listing import check_robot
+from vergence.hardware.checks import check_robot
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.delay.measure import measure_loop
 from vergence.hardware.emulator.client import WorldClient

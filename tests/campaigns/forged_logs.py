@@ -17,7 +17,7 @@ from mcap.data_stream import RecordBuilder
 
 from tests.recording.logged import log_trials
 from vergence.recording import schema
-from vergence.recording.records import read_records
+from vergence.recording.log import read_records
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _BOMB: Final = 2**30
@@ -195,7 +195,8 @@ def _file(log: _Parts, more: dict[str, Edit]) -> bytes:
     numbers = {topic.name: number for number, topic in enumerate(schema.TOPICS, 1)}
     for topic in schema.TOPICS:
         number, kind = numbers[topic.name], "protobuf" if "encoding" in more else "json"
-        records.Schema(number, topic.encoded_schema, "jsonschema", topic.schema_name).write(inside)
+        form = json.dumps(topic.schema).encode()
+        records.Schema(number, form, "jsonschema", topic.schema_name).write(inside)
         records.Channel(number, topic.name, kind, {}, number).write(inside)
     for place, (topic, message) in enumerate(log.messages):
         again = more.get("channel")

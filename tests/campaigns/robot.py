@@ -40,8 +40,7 @@ from vergence.hardware.dynamixel.control_table import PRESENT_POSITION
 from vergence.hardware.dynamixel.packets import MOST_LENGTH, PacketParser, status_packet
 from vergence.models.head_file import head_to_toml
 from vergence.models.toml_table import toml_text
-from vergence.recording.log import read_log
-from vergence.recording.recovery import recover_log
+from vergence.recording.log import read_log, recover_log
 from vergence.vision.objects.search import HeadSearch
 
 _LIMIT_S: Final = 15.0

@@ -9,7 +9,7 @@ import pytest
 
 # these need pseudo-terminals
 NEED = [
-    "checks", "dynamixel/test_bus.py", "emulator",
+    "test_checks.py", "dynamixel/test_bus.py", "emulator",
     *(f"test_{one}.py" for one in ("health", "jog", "plant", "scan_bus")),
 ]  # fmt: skip
 collect_ignore = NEED if sys.platform == "win32" else []

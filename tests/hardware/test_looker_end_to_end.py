@@ -13,7 +13,7 @@ from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.server import parse_sized_board, tilted_board_pose
 from vergence.hardware.looker import RobotLooker
-from vergence.recording.looking import Looker
+from vergence.recording.events import Looker
 
 pytestmark = [*REAL_TIME, pytest.mark.nightly]
 

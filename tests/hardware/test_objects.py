@@ -14,7 +14,7 @@ from tests.hardware.emulated import REAL_TIME, emulated
 from vergence.envs.plants.cameras import RoomImageRenderer
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import WorldClient
-from vergence.recording.clicks import Click, write_click
+from vergence.recording.follow import Click, write_click
 from vergence.recording.log import read_log
 from vergence.vision.objects.scenes import parse_scene
 

@@ -11,7 +11,7 @@ from tests.hardware.test_config import document, load
 from tests.hardware.virtual import VirtualRobot
 from tests.naming import named
 from vergence.errors import ConfigurationError, HeadFileError
-from vergence.hardware.checks.listing import check_servos
+from vergence.hardware.checks import check_servos
 from vergence.hardware.config import load_hardware, write_servos
 from vergence.hardware.jog import Jogger
 

@@ -10,16 +10,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.hardware.checks.test_cameras import Desk
 from tests.hardware.desk import desk_config, ready_servos
 from tests.hardware.fakes import HEAD
 from tests.hardware.line import make_servo
+from tests.hardware.test_camera_checks import Desk
 from tests.hardware.virtual import PORT as VIRTUAL_PORT
 from tests.hardware.virtual import VirtualRobot
 from tests.naming import named
 from vergence.errors import ChecksFailedError
-from vergence.hardware.checks.cameras import CameraRequest, check_cameras
-from vergence.hardware.checks.listing import check_servos
+from vergence.hardware.camera_checks import CameraRequest, check_cameras
+from vergence.hardware.checks import check_servos
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.checks import open_bus
 from vergence.vision import image

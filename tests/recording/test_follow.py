@@ -3,17 +3,11 @@
 import logging
 import math
 import os
-import tempfile
-from collections import defaultdict
-from contextlib import closing
 from itertools import pairwise
-from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.hardware.fakes import FakeClock
 from tests.naming import named
@@ -21,13 +15,19 @@ from tests.recording.logged import HEAD
 from vergence.envs.reading import Reading, Truth
 from vergence.errors import UnreadableFileError
 from vergence.recording import schema
-from vergence.recording.follow import LogFollower, newest_log
-from vergence.recording.growing import GrowingFile
-from vergence.recording.log import read_log
-from vergence.recording.schema import LoggedCommand, LoggedDetection
+from vergence.recording.follow import (
+    Click,
+    ClickReader,
+    LogFollower,
+    newest_log,
+    write_click,
+)
+from vergence.recording.log import read_log, records_in
+from vergence.recording.schema import LoggedCommand
 from vergence.recording.writer import LogWriter
 
 mcap_writer = pytest.importorskip("mcap.writer")
+stream_reader = pytest.importorskip("mcap.stream_reader")
 
 PERIOD_S = 0.1
 STEPS = 30
@@ -42,11 +42,8 @@ def log_trial(log, clock, steps):
         clock.now = begun_s + time_s
         if step:
             log.command(LoggedCommand(clock.now, np.full(7, time_s), np.zeros(7), "go", "policy"))
-        log.joints(clock.now, np.full(7, time_s), np.zeros(7))
         log.reading(Reading.empty(1)._replace(time_s=np.array([time_s])), begun_s)
         log.truth(Truth.unknown(1)._replace(time_s=np.array([time_s])))
-        pixels = (np.ones(2), np.ones(2), np.ones((4, 2)), np.ones((4, 2)))
-        log.detection(LoggedDetection("right", clock.now - 0.05, clock.now, np.zeros(7), *pixels))
         log.sync()
 
 
@@ -72,58 +69,53 @@ def logged(tmp_path_factory):
 
 def assert_holds(events, log):
     """The events of some calls are those of the whole log."""
-    found = defaultdict(list)
-    for one in events:
-        for name in ("readings", "truths", "commands", "detections", "stop_reasons"):
-            found[name] += getattr(one, name)
-        for eye, image in enumerate(one.images):
-            found["images", eye] = image or found["images", eye]
+    readings, truths, stop_reasons = (
+        [one for part in events for one in getattr(part, name)]
+        for name in ("readings", "truths", "stop_reasons")
+    )
     steps = [(trial, step) for trial in log.trials for step in range(trial.steps + 1)]
-    readings = found["readings"]
     assert [one[:2] for one in readings] == [(trial.number, trial.begun_s) for trial, _ in steps]
-    found["readings"] = [one.reading for one in readings]
-    for name, expected in {
-        "readings": [[v[s, 0] for v in trial.readings] for trial, s in steps],
-        "truths": [[v[s, 0] for v in trial.truths] for trial, s in steps],
-        "commands": [one for trial in log.trials for one in trial.commands],
-        "detections": log.detections,
-    }.items():
-        for row, others in zip(found[name], expected, strict=True):
+    for found, expected in (
+        ([one.reading for one in readings], [[v[s, 0] for v in t.readings] for t, s in steps]),
+        (truths, [[v[s, 0] for v in trial.truths] for trial, s in steps]),
+    ):
+        for row, others in zip(found, expected, strict=True):
             for value, other in zip(row, others, strict=True):
                 np.testing.assert_array_equal(value, other)
-    assert found["stop_reasons"] == list(log.stop_reasons)
+    assert stop_reasons == list(log.stop_reasons)
     for eye in range(2):
-        assert found["images", eye] == log.trials[-1].images[eye][-1]
+        newest = [one.images[eye] for one in events if one.images[eye] is not None][-1]
+        assert newest == log.trials[-1].images[eye][-1]
 
 
 def times_of(events):
     return [float(one.reading.time_s) for one in events.readings]
 
 
-def places_of(path):
-    with closing(GrowingFile(path)) as file:
-        return list(file.places())
+def ends_of(path):
+    """Whether each record of a log is a chunk, and where it ends."""
+    with path.open("rb") as file:
+        reader = stream_reader.StreamReader(file, emit_chunks=True)
+        return [(isinstance(one, stream_reader.Chunk), file.tell()) for one in reader.records]
 
 
-@pytest.mark.slow
-@settings(max_examples=6)
-@given(shares=st.lists(st.floats(0.0, 1.0), max_size=12))
-def test_a_log_in_pieces_cut_anywhere_gives_each_event_once_and_stays_as_it_is(logged, shares):
-    data = logged.read_bytes()
-    ends = sorted(int(share * len(data)) for share in shares)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.mcap"
-        path.touch()
-        with LogFollower(path, history_s=math.inf) as follower, path.open("ab", 0) as file:
-            events = [follower.poll()]
-            for start, end in pairwise([0, *ends, len(data)]):
-                file.write(data[start:end])
-                events.append(follower.poll())
-            assert follower.closed
-            assert follower.ended
-            assert follower.poll() is None
-        assert (path.read_bytes(), os.listdir(folder)) == (data, [path.name])
-    assert_holds(filter(None, events), read_log(logged))
+def test_a_log_in_pieces_cut_anywhere_gives_each_event_once_and_stays_as_it_is(logged, tmp_path):
+    data, path = logged.read_bytes(), tmp_path / "log.mcap"
+    ends = [end for _, end in ends_of(logged)]
+    middle = ends[len(ends) // 2]
+    cuts = [0, 4, 8, 20, middle - 1, middle, middle + 5, middle + 9, len(data) - 30, len(data)]
+    cuts += np.random.default_rng(2).integers(len(data), size=12).tolist()
+    path.touch()
+    with LogFollower(path, history_s=math.inf) as follower, path.open("ab", 0) as file:
+        events = []
+        for start, end in pairwise(sorted(cuts)):
+            file.write(data[start:end])
+            events += [follower.poll(), follower.poll()]
+            assert events[-1] is None
+        assert follower.closed
+        assert follower.ended
+    assert (path.read_bytes(), os.listdir(tmp_path)) == (data, [path.name])
+    assert_holds([one for one in events if one], read_log(logged))
 
 
 def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
@@ -131,7 +123,7 @@ def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
     log = open_log(tmp_path / "open.mcap", clock, facts={"seed": "7"})
     with log, LogFollower(log.path) as follower:
         assert follower.poll() is None
-        assert (follower.head.digest, follower.config) == (HEAD.digest, "# a robot")
+        assert follower.head.digest == HEAD.digest
         assert follower.facts["seed"] == "7"
         log_trial(log, clock, 3)
         assert len(follower.poll().readings) == 4
@@ -140,25 +132,9 @@ def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
         assert (follower.poll(), follower.closed) == (None, True)
 
 
-def test_a_record_that_is_cut_off_waits_for_its_rest(logged, tmp_path):
-    data, path = logged.read_bytes(), tmp_path / "cut.mcap"
-    chunk = [place for place in places_of(logged) if place.opcode == 6][STEPS // 2]
-    for cut in (chunk.start - 4, chunk.start, chunk.start + chunk.size - 1):
-        path.write_bytes(data[:cut])
-        with LogFollower(path, history_s=math.inf) as follower:
-            before = follower.poll()
-            assert follower.poll() is None
-            with path.open("ab") as file:
-                file.write(data[cut : chunk.start + chunk.size])
-            rest = follower.poll()
-            assert follower.poll() is None
-        times = times_of(before) + times_of(rest)
-        np.testing.assert_allclose(times, PERIOD_S * np.arange(len(times)))  # rounded in JSON
-
-
 def test_only_the_recent_part_of_a_long_log_is_unpacked(tmp_path, monkeypatch):
-    records = Mock(side_effect=GrowingFile.records)
-    monkeypatch.setattr(GrowingFile, "records", lambda *words: records(*words))
+    records = Mock(side_effect=records_in)
+    monkeypatch.setattr("vergence.recording.follow.records_in", records)
     clock, steps = FakeClock(), 300
     with open_log(tmp_path / "long.mcap", clock) as log:
         log_trial(log, clock, 1)
@@ -177,7 +153,7 @@ def test_only_the_recent_part_of_a_long_log_is_unpacked(tmp_path, monkeypatch):
     assert attached < 0.4 * steps
 
 
-def test_images_and_joints_are_the_newest_and_notes_begin_at_warnings(tmp_path, caplog):
+def test_images_are_the_newest_and_notes_begin_at_warnings(tmp_path, caplog):
     caplog.set_level(logging.INFO, "vergence")
     clock = FakeClock()
     with open_log(tmp_path / "eyes.mcap", clock) as log, LogFollower(log.path) as follower:
@@ -185,13 +161,11 @@ def test_images_and_joints_are_the_newest_and_notes_begin_at_warnings(tmp_path, 
         logging.getLogger("vergence.hardware").warning("a servo is hot")
         for number in range(3):
             log.image(0, np.full((48, 64), 40 + number, np.uint8), 99.0 + number)
-            log.joints(99.0 + number, np.full(7, float(number)), np.zeros(7))
         log.sync()
         events = follower.poll()
     left, right = events.images
     assert left.exposed_s == pytest.approx(101.0)
     assert right is None
-    assert events.joints.positions[0] == 2.0
     assert [(one.level, one.message) for one in events.notes] == [(3, "a servo is hot")]
 
 
@@ -217,7 +191,7 @@ def test_the_loss_of_the_file_is_one_error_after_the_last_events(logged, tmp_pat
 
 def test_garbage_is_one_error_after_the_events_before_it(logged, tmp_path):
     path, data = tmp_path / "garbage.mcap", logged.read_bytes()
-    ends = [place.start + place.size for place in places_of(logged)]
+    ends = [end for _, end in ends_of(logged)]
     for garbage in (bytes(64), b"not a record of MCAP", b"\x06" + bytes(8)):  # an empty chunk
         path.write_bytes(data[: ends[len(ends) // 2]] + garbage + data)
         with named(garbage), LogFollower(path, history_s=math.inf) as follower:
@@ -255,3 +229,25 @@ def test_the_newest_log_is_the_one_written_last(tmp_path):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (number, number))
     assert newest_log(tmp_path) == tmp_path / "a.mcap"
+
+
+def test_each_click_is_read_once_and_the_file_goes_with_the_reader(tmp_path):
+    log = tmp_path / "one.mcap"
+    write_click(log, Click(1, np.array([1.0, 2.0]), 3.0))
+    reader = ClickReader(log)
+    assert reader.poll() is None  # of an earlier run
+    for pixel in ([10.5, 20.0], [30.0, 40.25]):
+        write_click(log, Click(1, np.array(pixel), 5.0))
+        click = reader.poll()
+        assert click is not None
+        assert (click.eye, click.pixel.tolist(), click.exposed_s) == (1, pixel, 5.0)
+        assert reader.poll() is None
+    reader.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_no_viewer_wrote_is_no_click(tmp_path):
+    reader = ClickReader(tmp_path / "one.mcap")
+    for text in ("", "[1, 2]", "null", '["left", 1, 2, 3]'):
+        (tmp_path / "one.click").write_text(text)
+        assert reader.poll() is None

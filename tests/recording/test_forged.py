@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("mcap")
 
-from tests.campaigns.forged_logs import FACTS, VALUES, Edit, forged, parts
+from tests.campaigns.forged_logs import FACTS, Edit, forged, parts
 from vergence.errors import ConfigurationError
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.replay import replay
@@ -38,21 +38,6 @@ def first_of(whole, topic):
     return next(n for n, one in enumerate(whole.messages) if one[0] == topic)
 
 
-def test_truth_and_words_are_no_numbers(tmp_path, whole):
-    place = first_of(whole, "/reading")
-    field = sorted(whole.messages[place][1]).index("time_s")
-    for value in ("true", '"1.5"', "1e999", "[" * 900 + "]" * 900):
-        wrong = {"where": place, "field": field, "value": VALUES.index(value)}
-        with pytest.raises(ConfigurationError, match="time_s: expected a number"):
-            read_log(forged_log(tmp_path, whole, "value", **wrong))
-
-
-def test_a_log_that_lacks_commands_is_refused(tmp_path, whole):
-    path = forged_log(tmp_path, whole, "drop", where=first_of(whole, "/command"))
-    with pytest.raises(ConfigurationError, match="/command: expected one before each of 8"):
-        read_log(path)
-
-
 def test_a_gaze_that_ended_before_its_first_period_has_no_answers(tmp_path, whole):
     path = tmp_path / "short.mcap"
     short = whole.messages[: first_of(whole, "/command")]
@@ -69,6 +54,6 @@ def test_facts_that_cannot_be_are_refused(tmp_path, whole):
         path = forged_log(tmp_path, whole, "fact", **options)
         with pytest.raises(ConfigurationError):
             replay(ReplayConfig(log=path, controller="state-feedback"))
-    clock = {"field": names.index("clock_zero_ns"), "value": FACTS.index("9" * 30)}
+    clock = {"field": names.index("clock_zero_ns"), "value": FACTS.index("nan")}
     with pytest.raises(ConfigurationError, match="clock_zero_ns: expected ns"):
         read_log(forged_log(tmp_path, whole, "fact", **clock))

@@ -1,6 +1,7 @@
 """A log holds what it was given, to the bit, and a broken one is read up to its break."""
 
 import errno
+import json
 import logging
 import os
 import re
@@ -15,8 +16,7 @@ from tests.recording.logged import HEAD, STEPS, log_trials, open_log
 from vergence.envs.reading import Reading
 from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError, VergenceWarning
 from vergence.recording import schema
-from vergence.recording.log import read_log
-from vergence.recording.recovery import recover_log
+from vergence.recording.log import read_log, recover_log
 from vergence.recording.schema import LoggedDetection
 
 mcap_reader = pytest.importorskip("mcap.reader")
@@ -117,6 +117,17 @@ def test_a_message_that_is_none_of_its_topic_names_field_and_value(tmp_path):
         log._put(schema.READING, 0.0, {"begun_s": 0.0, "time_s": "soon"})
     with pytest.raises(ConfigurationError, match=r"bad\.mcap: /reading: time_s: .*got 'soon'"):
         read_log(path)
+
+
+def test_truth_and_words_are_no_numbers_and_null_is_nan():
+    joints = {"positions": [0] * 7, "velocities": [None] * 7}
+    for value in (True, "1.5", [0.5], 1e300, 10**400):
+        data = json.dumps({"clock_s": value, **joints}).encode()
+        with pytest.raises(ConfigurationError, match="clock_s: expected a number"):
+            schema.decode_message(schema.JOINTS, data)
+    found = schema.decode_message(schema.JOINTS, json.dumps({"clock_s": 1, **joints}).encode())
+    assert found["clock_s"] == 1.0
+    assert np.isnan(found["velocities"]).all()
 
 
 def test_another_file_is_no_log(tmp_path):

@@ -10,7 +10,7 @@ from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.eval.gaze import run_gaze
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.gaze_trajectory import write_trajectory
-from vergence.recording.health import MAX_GAP_RATIO, LoopHealth
+from vergence.recording.events import MAX_GAP_RATIO, LoopHealth
 from vergence.recording.log import read_log
 from vergence.reporting.runs import write_config_and_head, write_json
 from vergence.viewer.recorded import load_recorded

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 def check_robot_and_print(hardware: "HardwareConfig") -> None:
     """Run all checks of a robot and print their results; raise an error if one has failed."""
-    from vergence.hardware.checks.listing import check_robot, raise_errors
+    from vergence.hardware.checks import check_robot, raise_errors
 
     parts = check_robot(hardware)
     width = max(len(one.name) for one in parts)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from vergence.calibration.head.calibrate import CalibrationPreview
     from vergence.calibration.head.collect import CollectedRecording
     from vergence.models.head import HeadModel
-    from vergence.recording.looking import Looker
+    from vergence.recording.events import Looker
     from vergence.vision.targets import PlanarTarget
 
 _ROBOT_LOOKER_MODULE: Final = "vergence.hardware.looker"

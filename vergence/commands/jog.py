@@ -44,7 +44,7 @@ class Jog:
         require_modules("robot", "tomlkit")
         import time
 
-        from vergence.hardware.checks.listing import check_servos, raise_errors
+        from vergence.hardware.checks import check_servos, raise_errors
         from vergence.hardware.config import load_hardware
         from vergence.hardware.jog import Jogger as Joints
 

@@ -35,7 +35,7 @@ from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.models.posture import look_at
 from vergence.operands import null_nonfinite_elements
 from vergence.recording import Recorder
-from vergence.recording.health import warn_of_gap
+from vergence.recording.events import warn_of_gap
 from vergence.triangulation import Fix
 from vergence.vision.objects.scenes import parse_scene
 from vergence.vision.objects.targets import GazeTarget, PlaceTarget, PointTarget, parse_gaze_target

@@ -35,7 +35,7 @@ from vergence.hardware.pairing import (
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.recording.listener import RobotListener
+from vergence.recording.events import RobotListener
 from vergence.recording.schema import LoggedDetection
 from vergence.vision.image import (
     as_grey,

@@ -27,7 +27,7 @@ from vergence.hardware.safety.limits import HOLD_PERIODS
 from vergence.hardware.safety.supervisor import RobotState, Supervisor
 from vergence.hardware.servos import SILENT_S, JointAngles, ServoReading, Servos
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import RobotListener
+from vergence.recording.events import RobotListener
 from vergence.recording.schema import CommandOrigin, LoggedCommand
 
 _LOG: Final = logging.getLogger(__name__)

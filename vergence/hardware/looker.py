@@ -13,7 +13,7 @@ from vergence.hardware.config import load_hardware
 from vergence.hardware.pairing import SearchedImage
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.parts import FloatArray
-from vergence.recording.looking import BoardView
+from vergence.recording.events import BoardView
 from vergence.vision.detection import BoardDetection
 from vergence.vision.targets import PlanarTarget
 
@@ -34,7 +34,7 @@ _TIMEOUT_S: Final = 3.0
 
 
 class RobotLooker:
-    """A real or emulated head before a board, see `vergence.recording.looking.Looker`.
+    """A real or emulated head before a board, see `vergence.recording.events.Looker`.
 
     Args:
         config: the file that describes the robot.

@@ -27,7 +27,7 @@ from vergence.hardware.safety.supervisor import target_eye_angles
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import RobotListener
+from vergence.recording.events import RobotListener
 from vergence.vision.detection import as_pixel
 from vergence.vision.objects.sights import line_of_sight, pixel_of
 from vergence.vision.objects.targets import GazeTarget, PlaceTarget, PointTarget, parse_gaze_target

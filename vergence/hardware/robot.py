@@ -12,9 +12,9 @@ import numpy as np
 
 from vergence.errors import ChecksFailedError, HardwareError, VergenceWarning
 from vergence.hardware.approach import drive_to_start
+from vergence.hardware.camera_checks import check_local_cameras
 from vergence.hardware.cameras import HeadEyes, compile_loop_kernels
-from vergence.hardware.checks.cameras import check_local_cameras
-from vergence.hardware.checks.listing import check_servos, raise_errors
+from vergence.hardware.checks import check_servos, raise_errors
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.drive import DriveThread, JointHistory, RunningTrial
 from vergence.hardware.pairing import SearchedImage, SearchedPair
@@ -22,7 +22,7 @@ from vergence.hardware.safety.limits import HOLD_PERIODS
 from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.view_check import compile_view_check, range_by_size, turn_each_joint
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import RobotListener
+from vergence.recording.events import RobotListener
 from vergence.vision.objects.targets import FaceTarget, PointTarget
 
 _LOG: Final = logging.getLogger(__name__)

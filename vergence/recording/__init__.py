@@ -1,5 +1,5 @@
 """Records of heads: the recorder of readings and ground truth, logs of robots, and their replay."""
 
-from vergence.recording.recorder import Recorder
+from vergence.recording.events import Recorder
 
 __all__ = ["Recorder"]

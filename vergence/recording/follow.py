@@ -1,55 +1,84 @@
-"""Following of a robot's log that another process still writes, for a live view.
+"""Following of a robot's log that another process still writes, for a live view, and its clicks.
 
 A call returns what was appended since the last one. Memory stays flat: nothing is kept but the
-head, the facts and the configuration. Old messages are skipped without decoding them, so that
-attaching to a log of hours is quick.
+head and the facts. Old chunks are skipped without unpacking them, so that attaching to a log of
+hours is quick. The file is only read, never locked, so the writer does not notice.
 """
 
+import json
 import os
-import struct
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
-from vergence.errors import ConfigurationError, VergenceError
+import numpy as np
+
+from vergence.envs.reading import Reading, Truth
+from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError
+from vergence.files import write_atomic
 from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 from vergence.recording import schema
-from vergence.recording.content import LogContent
-from vergence.recording.events import FollowedImage, FollowedNote, FollowedReading, NewEvents
-from vergence.recording.growing import GrowingFile, Place
+from vergence.recording.log import (
+    EXPECTED_FILE,
+    MAX_CHUNK_BYTES,
+    LogContent,
+    open_log,
+    records_in,
+)
 from vergence.recording.schema import Topic
 
 if TYPE_CHECKING:
-    from mcap.records import Message
+    from mcap.records import Chunk, McapRecord, Message
 
-_MAX_EVENTS: Final = 10_000
-"""Largest number of events of one kind in one call, the newest (chosen: over two minutes)."""
-_LISTED: Final = (
-    schema.READING,
-    schema.TRUTH,
-    schema.COMMAND,
-    schema.DETECTION,
-    schema.FAULT,
-    schema.NOTES,
-)
-"""Topics of which all new messages are returned, in the order of `NewEvents`."""
+_FRAME_BYTES: Final = 9
+"""Size of a record's opcode and length (physical: defined by MCAP)."""
 _WARNING: Final = 3
 """Level of a warning in foxglove.Log (physical: defined by it)."""
-# Opcodes of records (physical: defined by MCAP).
-_CHANNEL: Final = 0x04
-_MESSAGE: Final = 0x05
-_CHUNK: Final = 0x06
-_MESSAGE_INDEX: Final = 0x07
-_ATTACHMENT: Final = 0x09
-_METADATA: Final = 0x0C
-_DATA_END: Final = 0x0F
-_NEWEST_AT: Final = {_CHUNK: 8, _MESSAGE: 6}
-"""Offset of the newest message's time in a record's content, bytes (physical: defined by MCAP)."""
-_TIME_FORM: Final = struct.Struct("<Q")
-_NUMBER_FORM: Final = struct.Struct("<H")
+
+
+class FollowedReading(NamedTuple):
+    """A reading of the head."""
+
+    trial: int
+    """Number of the trial; 0 if its start was not found."""
+    begun_s: float
+    """Time of the trial's start, s of the robot's clock."""
+    reading: Reading
+    """The reading; its arrays lack the axis over heads."""
+
+
+class FollowedImage(NamedTuple):
+    """An image of an eye."""
+
+    exposed_s: float
+    """Time of the exposure, s of the robot's clock."""
+    jpeg: bytes
+    """The JPEG; see `vergence.recording.log.read_jpeg`."""
+
+
+class FollowedNote(NamedTuple):
+    """A warning or an error of the package's loggers."""
+
+    level: int
+    """3 for a warning, 4 for an error, 5 for a fatal one, as in foxglove.Log."""
+    message: str
+
+
+class NewEvents(NamedTuple):
+    """Events appended to a log between two calls, in order."""
+
+    readings: tuple[FollowedReading, ...]
+    truths: tuple[Truth, ...]
+    """Ground truth, if it is logged: each follows the reading of its time, maybe one call later."""
+    images: tuple[FollowedImage | None, FollowedImage | None]
+    """The newest image of the left and the right eye; None if there is no new one."""
+    stop_reasons: tuple[str, ...]
+    """Reasons for stops of the head."""
+    notes: tuple[FollowedNote, ...]
 
 
 class LogFollower:
@@ -68,8 +97,6 @@ class LogFollower:
         path: see the arguments.
         head: the model that the controller uses; None until it has been read. It precedes all
             events.
-        facts: facts about the log, such as the controller, by name; empty before they are read.
-        config: text of the file that describes the robot.
         closed: true if the writer has closed the log and all of it has been read.
         ended: true if no more events will come: the log is closed, or an error was raised.
 
@@ -79,41 +106,28 @@ class LogFollower:
     """
 
     def __init__(self, path: str | os.PathLike[str], *, history_s: float = 10.0) -> None:
-        if not history_s >= 0.0:
-            raise ConfigurationError(f"history_s: expected a time from 0 s, got {history_s!r}")
-        self._file = GrowingFile(path)
-        self.path = self._file.path
+        self._file = open_log(path)  # kept open, so that its number is given to no other file
+        self.path = Path(path)
         self.head: HeadModel | None = None
         self.closed = False
         self.ended = False
         self._history_ns = 1e9 * history_s
+        self._at = 0
         self._content = LogContent()
         self._trial = 0
-        self._chunk: Place | None = None
-        self._trial_chunk: Place | None = None
+        self._chunk: Chunk | None = None
+        self._trial_chunk: Chunk | None = None
         self._error: VergenceError | None = None
-        self._gathered: dict[str, deque[Any]] = defaultdict(lambda: deque(maxlen=_MAX_EVENTS))
-        self._newest: dict[str, bytes] = {}
 
     @property
     def facts(self) -> dict[str, str]:
-        """See the class."""
+        """Facts about the log, such as the controller, by name; empty before they are read."""
         return self._content.facts
-
-    @property
-    def config(self) -> str:
-        """See the class."""
-        return self._content.files.get(schema.CONFIG_FILE, "")
 
     def __enter__(self) -> "LogFollower":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -122,10 +136,7 @@ class LogFollower:
         self._file.close()
 
     def poll(self) -> NewEvents | None:
-        """Read what has been appended since the last call.
-
-        Returns:
-            The new events; None if there are none.
+        """What has been appended since the last call; None if there is nothing new.
 
         Raises:
             UnreadableFileError: the file is no log or is damaged, or it was deleted, replaced or
@@ -134,102 +145,147 @@ class LogFollower:
         """
         if self.ended:
             return None
-        if self._error is None:
-            self._read()
-        events = self._taken()
+        events = None if self._error is not None else self._read()
         if events is None and self._error is not None:
             self.ended = True
             raise self._error
         self.ended = self.closed and self._error is None
         return events
 
-    # ---- reading ----
-
-    def _read(self) -> None:
-        """Gather new events; the first error in the file goes to `_error`."""
-        lost = self._file.lost()  # before reading, so that all that was written until then is read
-        recent: deque[tuple[int, Place]] = deque()
+    def _read(self) -> NewEvents | None:
+        """The new events; the first error in the file goes to `_error`."""
+        lost = self._lost()  # before reading, so that all that was written until then is read
+        recent: deque[Chunk] = deque()
+        found: dict[str, list[Any]] = defaultdict(list)
+        images: list[FollowedImage | None] = [None, None]
         try:
             self._scan(recent)
         except VergenceError as error:
             self._error = error
         try:
             self._find_trial(recent)
-            for _, place in recent:
-                self._decode(place)
+            newest: dict[str, bytes] = {}
+            for chunk in recent:
+                self._decode(chunk, found, newest)
+            for eye, topic in enumerate(schema.IMAGES):
+                if topic.name in newest:
+                    images[eye] = FollowedImage(*self._value(topic, newest[topic.name]))
         except VergenceError as error:  # it lies before one of the scan
             self._error = error
         if lost and self._error is None and not self.closed:
-            self._error = self._file.unreadable(lost)
+            self._error = self._unreadable(lost)
+        if not found and images == [None, None]:
+            return None
+        return NewEvents(
+            readings=tuple(found[schema.READING.name]),
+            truths=tuple(found[schema.TRUTH.name]),
+            images=(images[0], images[1]),
+            stop_reasons=tuple(found[schema.FAULT.name]),
+            notes=tuple(found[schema.NOTES.name]),
+        )
 
-    def _scan(self, recent: "deque[tuple[int, Place]]") -> None:
-        """Find the records to decode, and keep the head, the facts and the channels.
+    def _scan(self, recent: "deque[Chunk]") -> None:
+        """Find the recent chunks, and keep the head, the facts and the channels."""
+        from mcap.records import Attachment, Chunk, DataEnd, MessageIndex, Metadata
 
-        Args:
-            recent: receives times, ns, and places of recent chunks and messages.
-        """
         newest_ns = 0
-        for place in self._file.places():
-            if place.opcode in _NEWEST_AT:
-                self._need_head()
-                time_ns = self._file.number(place, _TIME_FORM, _NEWEST_AT[place.opcode])
-                newest_ns = max(newest_ns, time_ns)
-                recent.append((time_ns, place))
-                while recent and recent[0][0] < newest_ns - self._history_ns:
-                    recent.popleft()
-                self._chunk = place
-                if len(self._content.topics) < len(schema.TOPICS):  # a first chunk holds channels
-                    self._keep(place)
-            elif place.opcode == _MESSAGE_INDEX:
-                channel = self._file.number(place, _NUMBER_FORM)
-                if self._content.topics.get(channel) is schema.TRIAL:
+        for record in self._records():
+            if isinstance(record, MessageIndex):
+                if self._content.topics.get(record.channel_id) is schema.TRIAL:
                     self._trial_chunk = self._chunk
-            elif place.opcode in (_CHANNEL, _ATTACHMENT, _METADATA):
-                self._keep(place)
-                if self._content.has_head and schema.CONFIG_FILE in self._content.files:
-                    self._need_head()
-            elif place.opcode == _DATA_END:
-                self._need_head()
+                continue
+            if isinstance(record, Attachment | Metadata):
+                self._content.add(record)
+            begun = isinstance(record, Chunk | DataEnd) or schema.CONFIG_FILE in self._content.files
+            if begun and self.head is None:
+                self.head = self._content.head(self.path)
+            if isinstance(record, Chunk):
+                newest_ns = max(newest_ns, record.message_end_time)
+                recent.append(record)
+                while recent[0].message_end_time < newest_ns - self._history_ns:
+                    recent.popleft()
+                self._chunk = record
+                if len(self._content.topics) < len(schema.TOPICS):  # a first chunk holds channels
+                    for _ in self._messages(record):
+                        pass
+            elif isinstance(record, DataEnd):
                 self.closed = True
                 return
 
-    def _keep(self, place: Place) -> None:
-        """Keep the records at a place, but for messages."""
-        for record in self._file.records(place):
-            self._content.add(record)
+    def _records(self) -> "Iterator[McapRecord]":
+        """Yield used records that have become whole; of a message index, only its channel."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.opcode import Opcode
+        from mcap.records import Attachment, Chunk, DataEnd, MessageIndex, Metadata
+        from mcap.writer import MCAP0_MAGIC
 
-    def _need_head(self) -> None:
-        """Convert the head, once."""
-        if self.head is None:
-            self.head = self._content.head(self.path)
+        size = os.fstat(self._file.fileno()).st_size
+        if size < self._at:
+            raise self._unreadable("it became shorter while it was followed")
+        self._file.seek(self._at)
+        if not self._at:
+            magic = self._file.read(len(MCAP0_MAGIC))
+            if not MCAP0_MAGIC.startswith(magic):
+                raise self._unreadable("it is no MCAP file")
+            if len(magic) < len(MCAP0_MAGIC):
+                return
+            self._at = len(MCAP0_MAGIC)
+        stream = ReadDataStream(self._file)
+        used: dict[int, Any] = {
+            Opcode.CHUNK: Chunk, Opcode.DATA_END: DataEnd,
+            Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata,
+        }  # fmt: skip
+        while self._at + _FRAME_BYTES <= size:
+            kind, length = stream.read1(), stream.read8()
+            if not kind or length > MAX_CHUNK_BYTES:
+                raise self._unreadable(f"it is damaged at byte {self._at}")
+            end = self._at + _FRAME_BYTES + length
+            if end > size:
+                return
+            if kind == Opcode.MESSAGE_INDEX:
+                yield MessageIndex(stream.read2(), [])
+            elif kind in used:
+                try:
+                    record = used[kind].read(ReadDataStream(BytesIO(stream.read(length))))
+                except Exception as error:  # damage can make the library raise anything
+                    raise self._damaged(error) from error
+                yield record
+            self._at = self._file.seek(end)
 
-    def _find_trial(self, recent: "deque[tuple[int, Place]]") -> None:
+    def _find_trial(self, recent: "deque[Chunk]") -> None:
         """Read the number of the newest trial if it began in a skipped chunk."""
-        place, self._trial_chunk = self._trial_chunk, None
-        if place is not None and (not recent or place.start < recent[0][1].start):
-            for topic, data in self._messages(place):
+        chunk, self._trial_chunk = self._trial_chunk, None
+        if chunk is not None and not any(one is chunk for one in recent):
+            for topic, data in self._messages(chunk):
                 if topic is schema.TRIAL:
                     self._trial = self._value(topic, data)
 
-    def _decode(self, place: Place) -> None:
-        """Gather the events at a place."""
-        for topic, data in self._messages(place):
-            if topic is schema.JOINTS or topic in schema.IMAGES:
-                self._newest[topic.name] = data  # decoded at the end, as most are replaced
-                continue
-            value = self._value(topic, data)
-            if topic is schema.TRIAL:
-                self._trial = value
+    def _decode(
+        self, chunk: "Chunk", found: dict[str, list[Any]], newest: dict[str, bytes]
+    ) -> None:
+        """Gather the events of a chunk; images are decoded at the end, as most are replaced."""
+        for topic, data in self._messages(chunk):
+            if topic in schema.IMAGES:
+                newest[topic.name] = data
+            elif topic is schema.TRIAL:
+                self._trial = self._value(topic, data)
             elif topic is schema.READING:
-                self._gathered[topic.name].append(FollowedReading(self._trial, *value))
-            elif topic is not schema.NOTES:
-                self._gathered[topic.name].append(value)
-            elif value["level"] >= _WARNING:
-                self._gathered[topic.name].append(FollowedNote(value["level"], value["message"]))
+                reading = FollowedReading(self._trial, *self._value(topic, data))
+                found[topic.name].append(reading)
+            elif topic in (schema.TRUTH, schema.FAULT):
+                found[topic.name].append(self._value(topic, data))
+            elif topic is schema.NOTES:
+                note = self._value(topic, data)
+                if note["level"] >= _WARNING:
+                    found[topic.name].append(FollowedNote(note["level"], note["message"]))
 
-    def _messages(self, place: Place) -> Iterator[tuple[Topic, bytes]]:
-        """Yield topics and data of the messages at a place."""
-        for record in self._file.records(place):
+    def _messages(self, chunk: "Chunk") -> Iterator[tuple[Topic, bytes]]:
+        """Yield topics and data of the messages in a chunk, and keep its channels."""
+        try:
+            records = records_in(chunk)
+        except Exception as error:  # damage can make the library raise anything
+            raise self._damaged(error) from error
+        for record in records:
             topic = self._content.add(record)
             if topic is not None:
                 yield topic, cast("Message", record).data
@@ -241,29 +297,21 @@ class LogFollower:
         except ConfigurationError as error:
             raise ConfigurationError(f"{self.path}: {error}") from error
 
-    def _taken(self) -> NewEvents | None:
-        """Take the gathered events."""
-        newest: dict[str, Any] = {}
-        for topic in (schema.JOINTS, *schema.IMAGES):
-            data = self._newest.pop(topic.name, None)
-            newest[topic.name] = None
-            if data is not None:
-                try:
-                    newest[topic.name] = self._value(topic, data)
-                except ConfigurationError as error:
-                    self._error = self._error or error
-        lists = {topic.name: tuple(self._gathered.pop(topic.name, ())) for topic in _LISTED}
-        if not any(lists.values()) and all(value is None for value in newest.values()):
-            return None
-        left, right = (
-            None if value is None else FollowedImage(*value)
-            for value in (newest[topic.name] for topic in schema.IMAGES)
-        )
-        readings, truths, commands, detections, stop_reasons, notes = lists.values()
-        return NewEvents(
-            readings, truths, commands, detections, newest[schema.JOINTS.name], (left, right),
-            stop_reasons, notes,
-        )  # fmt: skip
+    def _lost(self) -> str:
+        """Description of the file's loss, such as its deletion; empty while it is at its path."""
+        try:
+            now = os.stat(self.path)
+        except FileNotFoundError:
+            return "it was deleted while it was followed"
+        same = os.path.samestat(now, os.fstat(self._file.fileno()))
+        return "" if same else "it was replaced by another file while it was followed"
+
+    def _unreadable(self, reason: str) -> UnreadableFileError:
+        return UnreadableFileError(os.fspath(self.path), reason, EXPECTED_FILE)
+
+    def _damaged(self, error: Exception) -> UnreadableFileError:
+        reason = f"{type(error).__name__} {error}".strip()
+        return self._unreadable(f"it is damaged before byte {self._file.tell()}: {reason:.200}")
 
 
 def newest_log(folder: str | os.PathLike[str]) -> Path | None:
@@ -273,3 +321,48 @@ def newest_log(folder: str | os.PathLike[str]) -> Path | None:
         with suppress(OSError):  # deleted meanwhile
             found.append((path.stat().st_mtime_ns, path))
     return max(found, default=(0, None))[1]
+
+
+# ---- clicks in the images: a small file beside the log ----
+
+
+class Click(NamedTuple):
+    """A click in an eye's image."""
+
+    eye: int
+    """0 for left, 1 for right."""
+    pixel: FloatArray
+    """(2,) raw pixel (u, v)."""
+    exposed_s: float
+    """Time of the image's exposure, s of the robot's clock."""
+
+
+def write_click(log: Path, click: Click) -> None:
+    """Leave a click for the robot that writes a log."""
+    u, v = click.pixel.tolist()
+    write_atomic(log.with_suffix(".click"), json.dumps([click.eye, u, v, click.exposed_s]))
+
+
+class ClickReader:
+    """Reads the newest click beside a log, without ever waiting; `close` removes it."""
+
+    def __init__(self, log: Path) -> None:
+        self._file = log.with_suffix(".click")
+        self.close()
+        self._seen: tuple[int, int] | None = None
+
+    def poll(self) -> Click | None:
+        """The newest click; None if there is no new one."""
+        try:
+            stat = self._file.stat()
+            if (stat.st_ino, stat.st_mtime_ns) == self._seen:
+                return None
+            self._seen = stat.st_ino, stat.st_mtime_ns
+            eye, u, v, exposed_s = json.loads(self._file.read_text())
+            return Click(int(eye) & 1, np.array([float(u), float(v)]), float(exposed_s))
+        except (OSError, ValueError, TypeError):  # none yet, or not written by a viewer
+            return None
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._file.unlink(missing_ok=True)

@@ -4,6 +4,7 @@ The thread writes the queue every 50 ms and flushes it to the operating system. 
 loses at most 50 ms, and a slow disk never delays the loop.
 """
 
+import json
 import logging
 import os
 import threading
@@ -24,9 +25,14 @@ from vergence.models.head import HeadModel
 from vergence.models.head_file import head_to_toml
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
-from vergence.recording.listener import RobotListener
-from vergence.recording.messages import encode_message, foxglove_time
-from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
+from vergence.recording.events import RobotListener
+from vergence.recording.schema import (
+    LoggedCommand,
+    LoggedDetection,
+    LoggedJoints,
+    Topic,
+    encode_message,
+)
 
 _LOGGER: Final = logging.getLogger("vergence")
 _FLUSH_S: Final = 0.05
@@ -83,15 +89,14 @@ class LogWriter(RobotListener):
                 f"log: expected mcap to be installed: {how_to_install('robot')}"
             ) from error
         self.path = Path(path)
-        self.fault = ""
+        self.images = images
         self.begun_s = np.nan
         self.commanded = False
-        self.images = images
+        self.reason = self.fault = ""
         self._clock = clock
         self._zero_ns = wall_ns() - round(1e9 * clock())
         self._waiting: deque[tuple[Topic, float, dict[str, Any]]] = deque()
         self._trials = 0
-        self.reason = ""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("xb")
@@ -129,14 +134,11 @@ class LogWriter(RobotListener):
         )
         for name, text in ((schema.HEAD_FILE, head_to_toml(head)), (schema.CONFIG_FILE, config)):
             self._mcap.add_attachment(now_ns, now_ns, name, "application/toml", text.encode())
-        self._channels = {
-            topic.name: self._mcap.register_channel(
-                topic.name,
-                "json",
-                self._mcap.register_schema(topic.schema_name, "jsonschema", topic.encoded_schema),
-            )
-            for topic in schema.TOPICS
-        }
+        self._channels = {}
+        for topic in schema.TOPICS:
+            form = json.dumps(topic.schema).encode()
+            number = self._mcap.register_schema(topic.schema_name, "jsonschema", form)
+            self._channels[topic.name] = self._mcap.register_channel(topic.name, "json", number)
         self._mcap.flush()
 
     def __enter__(self) -> "LogWriter":
@@ -152,15 +154,9 @@ class LogWriter(RobotListener):
         self._put(schema.TRIAL, self._clock(), {"number": self._trials})
 
     def reading(self, reading: Reading, begun_s: float) -> None:
-        """Keep a reading of one head.
-
-        Args:
-            reading: the sensors' reading.
-            begun_s: time of the trial's start, s of the clock.
-        """
-        fields = {name: value[0].copy() for name, value in reading._asdict().items()}
+        """Keep a reading of one head, and the time of the trial's start, s of the clock."""
         self.begun_s = begun_s
-        self._put(schema.READING, self._clock(), {"begun_s": begun_s, **fields})
+        self._put(schema.READING, self._clock(), {"begun_s": begun_s, **_of_one_head(reading)})
 
     def command(self, command: LoggedCommand) -> None:
         """Keep a command; its `sent` array must not change afterwards."""
@@ -170,26 +166,19 @@ class LogWriter(RobotListener):
 
     def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
         """Keep a measurement of the joints, see `LoggedJoints`; it must not change afterwards."""
-        detection = LoggedJoints(clock_s, positions, velocities)
-        self._put(schema.JOINTS, clock_s, detection._asdict())
+        joints = LoggedJoints(clock_s, positions, velocities)
+        self._put(schema.JOINTS, clock_s, joints._asdict())
 
     def truth(self, truth: Truth) -> None:
         """Keep the ground truth of one head."""
-        fields = {name: value[0].copy() for name, value in truth._asdict().items()}
-        self._put(schema.TRUTH, self._clock(), fields)
+        self._put(schema.TRUTH, self._clock(), _of_one_head(truth))
 
     def detection(self, detection: LoggedDetection) -> None:
         """Keep the detection in an image of an eye; its arrays must not change afterwards."""
         self._put(schema.DETECTION, detection.ready_s, detection._asdict())
 
     def image(self, eye: int, image: Image, exposed_s: float) -> None:
-        """Keep an image of an eye, as a JPEG; it must not change afterwards.
-
-        Args:
-            eye: 0 for left, 1 for right.
-            image: (height, width) grey levels.
-            exposed_s: time of the exposure, s of the clock.
-        """
+        """Keep an image of an eye as a JPEG, see `RobotListener.image`."""
         topic = schema.IMAGES[eye]
         self._put(topic, exposed_s, {"frame_id": topic.name, "data": image, "format": "jpeg"})
 
@@ -198,21 +187,6 @@ class LogWriter(RobotListener):
         if reason != self.reason:
             self.reason = reason
             self._put(schema.FAULT, self._clock(), {"text": reason})
-
-    def note(self, record: logging.LogRecord) -> None:
-        """Keep a message of a logger."""
-        level = next((ours for theirs, ours in _FOXGLOVE_LEVELS if record.levelno >= theirs), 0)
-        self._put(
-            schema.NOTES,
-            self._clock(),
-            {
-                "level": level,
-                "message": record.getMessage(),
-                "name": record.name,
-                "file": record.filename,
-                "line": record.lineno,
-            },
-        )
 
     def sync(self) -> None:
         """Flush all kept messages to the operating system before returning; not for use in a loop.
@@ -228,8 +202,7 @@ class LogWriter(RobotListener):
             return
         _LOGGER.removeHandler(self._handler)
         self._closing.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        self._thread.join()
         if self.fault:
             warnings.warn(self.fault, VergenceWarning, stacklevel=2)
 
@@ -268,10 +241,15 @@ class LogWriter(RobotListener):
                 quality = (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY)
                 message["data"] = cv2.imencode(".jpg", message["data"], quality)[1].tobytes()
             if topic in schema.IMAGES or topic is schema.NOTES:
-                message = {"timestamp": foxglove_time(time_ns), **message}
+                sec, nsec = divmod(time_ns, 10**9)
+                message = {"timestamp": {"sec": sec, "nsec": nsec}, **message}
             data = encode_message(message)
             self._mcap.add_message(self._channels[topic.name], time_ns, data, time_ns)
         self._mcap.flush()
+
+
+def _of_one_head(values: Reading | Truth) -> dict[str, Any]:
+    return {name: value[0].copy() for name, value in values._asdict().items()}
 
 
 def _unwritable(path: str | os.PathLike[str], error: OSError) -> ConfigurationError:
@@ -289,4 +267,12 @@ class _Handler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """See `logging.Handler`."""
-        self._log.note(record)
+        level = next((ours for theirs, ours in _FOXGLOVE_LEVELS if record.levelno >= theirs), 0)
+        message = {
+            "level": level,
+            "message": record.getMessage(),
+            "name": record.name,
+            "file": record.filename,
+            "line": record.lineno,
+        }
+        self._log._put(schema.NOTES, self._log._clock(), message)

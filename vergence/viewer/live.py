@@ -13,11 +13,17 @@ from vergence.envs.reading import Truth
 from vergence.envs.task import EyeImages
 from vergence.errors import VergenceError
 from vergence.models.parts import FloatArray
-from vergence.recording.clicks import Click, write_click
-from vergence.recording.events import FollowedImage, FollowedReading, NewEvents
-from vergence.recording.follow import LogFollower, newest_log
-from vergence.recording.health import LoopHealth
-from vergence.recording.jpeg import read_jpeg
+from vergence.recording.events import LoopHealth
+from vergence.recording.follow import (
+    Click,
+    FollowedImage,
+    FollowedReading,
+    LogFollower,
+    NewEvents,
+    newest_log,
+    write_click,
+)
+from vergence.recording.log import read_jpeg
 from vergence.viewer.head_view import SHOWN_HZ, HeadView
 from vergence.viewer.moment import Moment, moment_of_reading
 

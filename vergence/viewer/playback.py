@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from vergence.models.parts import FloatArray
-from vergence.recording.health import LoopHealth
+from vergence.recording.events import LoopHealth
 from vergence.viewer.head_view import SHOWN_HZ, HeadView
 from vergence.viewer.panels import HISTORY_S
 from vergence.viewer.recorded import Recorded

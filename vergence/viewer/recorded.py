@@ -19,8 +19,7 @@ from vergence.eval.gaze_trajectory import MM
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.recording.jpeg import read_jpeg
-from vergence.recording.log import Log, LoggedTrial, read_log
+from vergence.recording.log import Log, LoggedTrial, read_jpeg, read_log
 from vergence.viewer.moment import Moment, moment_of_reading, pixel_errors
 from vergence.vision.targets import make_planar_target
 

@@ -28,7 +28,7 @@ from vergence.files import hold_lock
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, EYES, NECK, FloatArray
 from vergence.perception.locate import equivalent_corner_orders
-from vergence.recording.looking import BoardView, Looker
+from vergence.recording.events import BoardView, Looker
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
 

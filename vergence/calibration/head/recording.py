@@ -23,8 +23,8 @@ from vergence.perception.photographs import (
     parse_joint_angles,
     read_pair_rows,
 )
+from vergence.recording.events import BoardView
 from vergence.recording.log import Log, read_log
-from vergence.recording.looking import BoardView
 from vergence.recording.schema import LoggedDetection
 from vergence.triangulation import Noise
 from vergence.vision.targets import PlanarTarget

@@ -15,7 +15,7 @@ from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.recording.looking import BoardView
+from vergence.recording.events import BoardView
 from vergence.vision import Camera, TargetRenderer, make_detector, parse_target
 from vergence.vision.targets import PlanarTarget, TagFamily
 

@@ -29,8 +29,8 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.models.posture import LookAt, look_at
 from vergence.recording import Recorder
-from vergence.recording.clicks import Click, ClickReader
-from vergence.recording.health import warn_of_gap
+from vergence.recording.events import warn_of_gap
+from vergence.recording.follow import Click, ClickReader
 from vergence.recording.log import read_log
 from vergence.recording.writer import LogWriter
 from vergence.reporting.runs import package_versions

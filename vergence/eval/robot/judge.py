@@ -28,8 +28,7 @@ from vergence.eval.trials.settling import bands_with_bound
 from vergence.hardware.config import HardwareConfig, loop_variation
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.recording.log import LoggedTrial
-from vergence.recording.replayed import REPLAYED_ENTRY_POINT
+from vergence.recording.log import REPLAYED_ENTRY_POINT, LoggedTrial
 from vergence.triangulation import triangulate_views
 
 _MEASURING_WINDOW_S: Final = 0.5

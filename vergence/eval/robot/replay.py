@@ -20,8 +20,7 @@ from vergence.eval.robot.gazes import RobotGazes
 from vergence.eval.robot.stage import REST_TARGET
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
-from vergence.recording.log import Log, LoggedTrial, read_log
-from vergence.recording.replayed import REPLAYED_ENTRY_POINT, ReplayedPlant
+from vergence.recording.log import REPLAYED_ENTRY_POINT, Log, LoggedTrial, ReplayedPlant, read_log
 
 _NON_OPTION_ARGUMENTS: Final = ("name", "head", "layout")
 """Arguments of a controller that are not options."""

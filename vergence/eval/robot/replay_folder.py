@@ -9,7 +9,7 @@ from vergence.eval.robot.replay import Replay, RerunCommands
 from vergence.models.head import HeadModel
 from vergence.models.head_file import save_head
 from vergence.recording import schema
-from vergence.recording.recovery import recover_log
+from vergence.recording.log import recover_log
 from vergence.reporting.runs import write_json
 
 

@@ -18,7 +18,7 @@ from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, 
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
-from vergence.recording.listener import RobotListener
+from vergence.recording.events import RobotListener
 from vergence.recording.schema import CommandOrigin, LoggedCommand, LoggedDetection
 from vergence.triangulation import triangulate_views
 

@@ -12,7 +12,7 @@ from tests.hardware.desk import desk_config, ready_servos
 from tests.hardware.fakes import HEAD
 from tests.naming import named
 from vergence.errors import ChecksFailedError, HardwareError
-from vergence.hardware.checks.listing import check_servos, raise_errors
+from vergence.hardware.checks import check_servos, raise_errors
 from vergence.hardware.dynamixel import checks as dynamixel_checks
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.checks import (

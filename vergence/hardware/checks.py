@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from vergence.errors import ChecksFailedError, Finding, HardwareError
-from vergence.hardware.checks.cameras import camera_requests, check_cameras
+from vergence.hardware.camera_checks import camera_requests, check_cameras
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.servos import JointAngles, Servos
