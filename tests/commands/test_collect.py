@@ -90,7 +90,7 @@ def test_a_robot_is_made_of_its_configuration_and_closed_in_the_end(tmp_path, ca
         def close(self):
             self.closed = True
 
-    module = ModuleType("vergence.hardware.looker")
+    module = ModuleType("vergence.hardware.robot")
     module.RobotLooker = RobotLooker
     monkeypatch.setitem(sys.modules, module.__name__, module)
     words = (*SHORT[:2], *SHORT[4:], "--poses", "6", "--plant", "hardware", "--config", config)

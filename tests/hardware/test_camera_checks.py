@@ -11,8 +11,8 @@ from tests.hardware.desk import desk_config
 from tests.hardware.fakes import HEAD, blank
 from tests.naming import named
 from vergence.errors import ConfigurationError
-from vergence.hardware import camera_checks
-from vergence.hardware.camera_checks import CameraRequest, camera_requests, check_cameras
+from vergence.hardware import checks as camera_checks
+from vergence.hardware.checks import CameraRequest, camera_requests, check_cameras
 
 ASKED = {"size": (640, 480), "frame_rate_hz": 30.0}
 

@@ -8,7 +8,7 @@ from tests.hardware.desk import ready_servos
 from tests.naming import named
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.dynamixel.health import (
+from vergence.hardware.dynamixel.checks import (
     Health,
     HealthLimits,
     HealthWatch,

@@ -5,17 +5,14 @@ import pytest
 
 from tests.hardware.fakes import HEAD, TAG
 from vergence.errors import HardwareError
-from vergence.hardware import looker as module
-from vergence.hardware.looker import RobotLooker
+from vergence.hardware import robot as module
+from vergence.hardware.robot import RobotLooker
 
 
 @pytest.fixture
 def looker(monkeypatch, robot):
-    def plant(_head, config, view_check):
-        return robot.plant
-
     monkeypatch.setattr(module, "load_hardware", lambda _path: robot.plant.config)
-    monkeypatch.setattr(module, "HardwarePlant", plant)
+    monkeypatch.setattr(module, "Robot", lambda _config, view_check: robot.plant.robot)
     return RobotLooker("robot.toml", TAG)
 
 

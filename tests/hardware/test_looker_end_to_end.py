@@ -12,7 +12,7 @@ from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.server import parse_sized_board, tilted_board_pose
-from vergence.hardware.looker import RobotLooker
+from vergence.hardware.robot import RobotLooker
 from vergence.recording.events import Looker
 
 pytestmark = [*REAL_TIME, pytest.mark.nightly]

@@ -18,8 +18,7 @@ from tests.hardware.virtual import PORT as VIRTUAL_PORT
 from tests.hardware.virtual import VirtualRobot
 from tests.naming import named
 from vergence.errors import ChecksFailedError
-from vergence.hardware.camera_checks import CameraRequest, check_cameras
-from vergence.hardware.checks import check_servos
+from vergence.hardware.checks import CameraRequest, check_cameras, check_servos
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.checks import open_bus
 from vergence.vision import image

@@ -13,7 +13,7 @@ from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.hardware.camera_checks import CameraRequest, CameraState
+    from vergence.hardware.checks import CameraRequest, CameraState
 
 _COLUMNS: Final = ("camera", "setting", "asked", "got")
 
@@ -40,7 +40,7 @@ class CheckCameras:
     def run(self) -> int:
         """Run the command."""
         requests = self._requests()
-        from vergence.hardware.camera_checks import check_cameras
+        from vergence.hardware.checks import check_cameras
 
         states, findings = check_cameras(requests)
         if states:
@@ -67,7 +67,7 @@ class CheckCameras:
                 f"pixel-format: expected four letters, such as MJPG, got {self.pixel_format!r:.80}"
             )
         size = parse_size(self.size)
-        from vergence.hardware.camera_checks import CameraRequest, camera_requests
+        from vergence.hardware.checks import CameraRequest, camera_requests
         from vergence.hardware.config import load_hardware
 
         if self.config is not None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from vergence.recording.events import Looker
     from vergence.vision.targets import PlanarTarget
 
-_ROBOT_LOOKER_MODULE: Final = "vergence.hardware.looker"
+_ROBOT_LOOKER_MODULE: Final = "vergence.hardware.robot"
 """Module of the `Looker` of a robot."""
 _DEFAULT_HEAD: Final = "simulated"
 _DEFAULT_DISTANCE_M: Final = 0.7

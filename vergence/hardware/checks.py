@@ -1,15 +1,380 @@
 """All checks of a robot before it moves: its servos, its posture and its cameras."""
 
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
 
-from vergence.errors import ChecksFailedError, Finding, HardwareError
-from vergence.hardware.camera_checks import camera_requests, check_cameras
+import cv2
+import numpy as np
+
+from vergence.errors import ChecksFailedError, ConfigurationError, Finding, HardwareError
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.servos import JointAngles, Servos
+from vergence.vision.image import (
+    EXPOSURE_STEP_S,
+    MANUAL_EXPOSURE,
+    is_local_camera,
+    open_capture,
+    suppress_opencv_log,
+)
+
+FIRST_IMAGE_TIMEOUT_S: Final = 5.0
+"""Longest wait for the first image, s (chosen)."""
+_MIN_RATE_RATIO: Final = 0.8
+"""Least measured frame rate as a fraction of the requested one (chosen)."""
+_WARM_UP_S: Final = 0.5
+"""Time after the first image in which buffers empty and the exposure settles, s (chosen)."""
+
+
+class CaptureDevice(Protocol):
+    """The part of `cv2.VideoCapture` that the checks use."""
+
+    def grab(self) -> bool:
+        """Wait for the next image; False if there is none."""
+
+    def retrieve(self) -> tuple[bool, Any]:
+        """Decode the image that was grabbed last."""
+
+    def get(self, propId: int) -> float:
+        """Read a setting back."""
+
+    def release(self) -> None:
+        """Close the camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraRequest:
+    """One camera and the settings requested from it."""
+
+    name: str
+    """Name in messages."""
+    source: str
+    """Camera number, device file or URL."""
+    size: tuple[int, int] | None = None
+    """(width, height), px; None for the camera's own."""
+    frame_rate_hz: float | None = None
+    """Frame rate, Hz; None for the camera's own."""
+    pixel_format: str = ""
+    """Pixel format, four letters; empty for the camera's own."""
+    exposure_s: float | None = None
+    """Exposure time to lock, s; None leaves the setting."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraState:
+    """Actual settings and frame rate of a camera."""
+
+    request: CameraRequest
+    """Requested settings."""
+    size: tuple[int, int] | None
+    """(width, height) of its images, px; None if none arrived."""
+    pixel_format: str
+    """Pixel format that it reports; empty if unknown."""
+    reported_hz: float
+    """Frame rate that it reports, Hz; nan if unknown."""
+    rate_hz: float
+    """Frame rate measured while all cameras gave images, Hz."""
+    alone_hz: float = np.nan
+    """Frame rate measured while the others were closed, Hz; nan if not measured."""
+    exposure_locked: bool | None
+    """True if its exposure is locked; None if unknown."""
+    exposure_s: float
+    """Exposure time that it reports, s; nan if unknown."""
+
+    @property
+    def too_slow(self) -> bool:
+        """True if the frame rate was well below the requested one, or no images arrived."""
+        return self.rate_hz < _MIN_RATE_RATIO * (self.request.frame_rate_hz or 1e-9)
+
+    @property
+    def slowed_by_others(self) -> bool:
+        """True if it was too slow, but fast enough while the others were closed."""
+        return self.too_slow and self.alone_hz >= _MIN_RATE_RATIO * (
+            self.request.frame_rate_hz or 0.0
+        )
+
+
+def camera_requests(config: HardwareConfig) -> tuple[CameraRequest, ...]:
+    """Requests for a robot's cameras."""
+    sizes = config.head.cameras.size.tolist()
+    return tuple(
+        CameraRequest(
+            name=camera.name,
+            source=camera.source,
+            size=(sizes[camera.eye][0], sizes[camera.eye][1]),
+            frame_rate_hz=config.head.timing.frame_rate_hz,
+            pixel_format=camera.pixel_format,
+            exposure_s=camera.exposure_s,
+        )
+        for camera in config.cameras
+    )
+
+
+def _measure(
+    requests: Sequence[CameraRequest],
+    open: Callable[..., CaptureDevice],
+    clock: Callable[[], float],
+    seconds: float,
+) -> tuple[list[CameraState], dict[str, str]]:
+    """States of the cameras that could be opened, and the reasons of the others by name."""
+    unopened: dict[str, str] = {}
+    with suppress_opencv_log(), ExitStack() as opened:
+        captures: list[tuple[CameraRequest, CaptureDevice]] = []
+        for request in requests:
+            try:
+                capture = _open(request, open)
+            except ConfigurationError as error:
+                unopened[request.name] = str(error).removeprefix(f"{request.name}: ")
+                continue
+            opened.callback(capture.release)
+            captures.append((request, capture))
+        with ThreadPoolExecutor(max(len(captures), 1)) as pool:
+            watched = list(pool.map(lambda one: _watch(one[1], clock, seconds), captures))
+        states = [
+            _state(request, capture, *seen)
+            for (request, capture), seen in zip(captures, watched, strict=True)
+        ]
+        opened.close()  # so that slow cameras can be opened alone
+        if len(states) > 1:
+            states = [_with_alone(state, open, clock, seconds) for state in states]
+    return states, unopened
+
+
+def _open(request: CameraRequest, open: Callable[..., CaptureDevice]) -> CaptureDevice:
+    return open(
+        request.source,
+        request.name,
+        pixel_format=request.pixel_format,
+        size=request.size,
+        frame_rate_hz=request.frame_rate_hz,
+        exposure_s=request.exposure_s,
+    )
+
+
+def _watch(
+    capture: CaptureDevice, clock: Callable[[], float], seconds: float
+) -> tuple[tuple[int, int] | None, float]:
+    """Image size, and frame rate over a time, of a camera."""
+    begun_s = clock()
+    until_s = begun_s + FIRST_IMAGE_TIMEOUT_S
+    times: list[float] = []
+    size = None
+    while clock() < until_s and capture.grab():
+        times.append(clock())
+        if size is None:
+            there, image = capture.retrieve()
+            size = (int(image.shape[1]), int(image.shape[0])) if there else None
+        if len(times) == 1:
+            until_s = times[0] + _WARM_UP_S + seconds
+    if not times:
+        return None, 0.0
+    counted = [time_s for time_s in times if time_s - times[0] >= _WARM_UP_S]
+    if len(counted) < 2:
+        return size, len(times) / (_WARM_UP_S + seconds)
+    return size, (len(counted) - 1) / (counted[-1] - counted[0])
+
+
+def _state(
+    request: CameraRequest, capture: CaptureDevice, size: tuple[int, int] | None, rate_hz: float
+) -> CameraState:
+    if not is_local_camera(request.source):  # a stream's settings are those of its server
+        return CameraState(
+            request=request, size=size, pixel_format="", reported_hz=np.nan, rate_hz=rate_hz,
+            exposure_locked=None, exposure_s=np.nan,
+        )  # fmt: skip
+    mode = capture.get(cv2.CAP_PROP_AUTO_EXPOSURE)
+    steps = capture.get(cv2.CAP_PROP_EXPOSURE)
+    letters = int(capture.get(cv2.CAP_PROP_FOURCC))
+    set_hz = capture.get(cv2.CAP_PROP_FPS)
+    return CameraState(
+        request=request,
+        size=size,
+        pixel_format=letters.to_bytes(4, "little").decode("latin-1") if letters > 0 else "",
+        reported_hz=set_hz if set_hz > 0.0 else np.nan,
+        rate_hz=rate_hz,
+        exposure_locked=mode == MANUAL_EXPOSURE if mode >= 0.0 else None,
+        exposure_s=EXPOSURE_STEP_S * steps if steps > 0.0 else np.nan,
+    )
+
+
+def _with_alone(
+    state: CameraState,
+    open: Callable[..., CaptureDevice],
+    clock: Callable[[], float],
+    seconds: float,
+) -> CameraState:
+    """Measure a slow camera's rate while the others are closed; return its completed state."""
+    if not state.too_slow:
+        return state
+    try:
+        capture = _open(state.request, open)
+    except ConfigurationError:  # it has been removed meanwhile
+        return state
+    try:
+        size, alone_hz = _watch(capture, clock, seconds)
+    finally:
+        capture.release()
+    return replace(state, size=state.size or size, alone_hz=alone_hz)
+
+
+_EXPOSURE_TOLERANCE: Final = 0.2
+"""Tolerance of the exposure as a fraction of the requested one: cameras have coarse steps
+(chosen)."""
+_RATE_TOLERANCE: Final = 0.01
+"""Tolerance of the reported frame rate as a fraction of the requested one: 30 may be 29.97
+(chosen)."""
+
+
+def check_cameras(
+    requests: Sequence[CameraRequest],
+    *,
+    open: Callable[..., CaptureDevice] = open_capture,
+    clock: Callable[[], float] = time.monotonic,
+    seconds: float = 1.0,
+) -> tuple[list[CameraState], list[Finding]]:
+    """Open cameras, all at once, measure their rates, and find all problems.
+
+    Args:
+        requests: the cameras.
+        open: opens a camera, as `vergence.vision.image.open_capture` does.
+        clock: a monotonic clock, s; called by a thread for each camera.
+        seconds: duration of the measurement of the rates, s.
+
+    Returns:
+        States of the cameras that could be opened, and the findings of all cameras.
+    """
+    states, unopened = _measure(requests, open, clock, seconds)
+    findings = [
+        _unopened(request, unopened[request.name])
+        for request in requests
+        if request.name in unopened
+    ]
+    for state in states:
+        findings += _judge(state)
+    shared = [state for state in states if state.slowed_by_others]
+    return states, [*findings, _bandwidth(shared)] if shared else findings
+
+
+def check_local_cameras(config: HardwareConfig) -> list[Finding]:
+    """Find all problems of a robot's cameras but streams, which are checked while they run."""
+    requests = [one for one in camera_requests(config) if is_local_camera(one.source)]
+    return check_cameras(requests)[1] if requests else []
+
+
+def _unopened(request: CameraRequest, problem: str) -> Finding:
+    if not is_local_camera(request.source):
+        cure = "start its server, and try the address in a browser"
+    elif "no such device" in problem:
+        cure = "plug it in, or name another; names in /dev/v4l/by-id stay the same"
+    else:
+        # the message of a missing permission has its cure
+        cure = "" if "permission" in problem else "end the other program"
+    return Finding(part=request.name, problem=problem, cure=cure)
+
+
+def _judge(state: CameraState) -> Iterator[Finding]:
+    """Findings of one camera by itself."""
+    request = state.request
+    listed = "one that v4l2-ctl --list-formats-ext lists"
+    size_cure = listed if is_local_camera(request.source) else "another size at its server"
+    if state.size is not None and request.size not in (None, state.size):
+        yield Finding(
+            part=request.name,
+            problem=f"expected images of {_size(request.size)}, as the head has them, got "
+            f"{_size(state.size)}",
+            cure=f"{size_cure}, and calibrate the head with such a size",
+        )
+    if state.pixel_format and request.pixel_format not in ("", state.pixel_format):
+        yield Finding(
+            part=request.name,
+            problem=f"expected the pixel format {request.pixel_format}, got {state.pixel_format}",
+            cure=listed,
+            warning=True,
+        )
+    if not state.slowed_by_others:
+        yield from _judge_rate(state)
+    yield from _judge_exposure(state)
+
+
+def _judge_rate(state: CameraState) -> Iterator[Finding]:
+    asked_hz, source = state.request.frame_rate_hz, state.request.source
+    local = is_local_camera(source)
+    place = f"the camera {source}" if local else source
+    if not state.rate_hz:
+        yield Finding(
+            part=state.request.name,
+            problem=f"expected images from {place}, got none within {FIRST_IMAGE_TIMEOUT_S:g} s",
+            cure="another cable, port or camera; does another program use it?"
+            if local
+            else "check its server and the network",
+        )
+    elif asked_hz is not None and state.too_slow:
+        cure = 'pixel_format = "MJPG"' if local else "more light, a stream of fewer bytes"
+        if local and not state.exposure_locked:
+            cure = f"a locked exposure_s below {1.0 / asked_hz:.3g}, more light, {cure}"
+        yield Finding(
+            part=state.request.name,
+            problem=f"expected {asked_hz:g} images a second, got {state.rate_hz:.3g}",
+            cure=f"{cure}, or a lower frame_rate_hz in the head file",
+        )
+    elif asked_hz is not None and abs(state.reported_hz - asked_hz) > _RATE_TOLERANCE * asked_hz:
+        yield Finding(
+            part=state.request.name,
+            problem=f"expected the setting of {asked_hz:g} images a second to be kept, got "
+            f"{state.reported_hz:g}",
+            cure="a frame_rate_hz in the head file that the camera has, see "
+            "v4l2-ctl --list-formats-ext",
+            warning=True,
+        )
+
+
+def _judge_exposure(state: CameraState) -> Iterator[Finding]:
+    request, asked_s = state.request, state.request.exposure_s
+    if asked_s is not None and is_local_camera(request.source):
+        apart = abs(state.exposure_s - asked_s)
+        kept = apart <= _EXPOSURE_TOLERANCE * asked_s or np.isnan(apart)
+        if not state.exposure_locked or not kept:
+            how = {True: "locked", False: "automatic", None: "unknown"}[state.exposure_locked]
+            yield Finding(
+                part=request.name,
+                problem=f"expected an exposure locked to {asked_s:g} s, got {how}"
+                + ("" if np.isnan(state.exposure_s) else f", {state.exposure_s:g} s"),
+                cure="an exposure_s that the camera has, see v4l2-ctl --list-ctrls",
+                warning=True,
+            )
+    elif state.exposure_locked is False:
+        yield Finding(
+            part=request.name,
+            problem="expected a locked exposure, got an automatic one: rate and latency change "
+            "with the light",
+            cure=f"exposure_s = 0.008 in [{request.name}], or as long as the light asks for",
+            warning=True,
+        )
+
+
+def _bandwidth(shared: Sequence[CameraState]) -> Finding:
+    """Finding of cameras that are fast enough alone, but not together."""
+    rates = "; ".join(
+        f"{state.request.name} {state.rate_hz:.3g} ({state.alone_hz:.3g} alone)" for state in shared
+    )
+    full, cure = "USB controller", 'pixel_format = "MJPG", a port of another USB controller'
+    if not all(is_local_camera(state.request.source) for state in shared):
+        full, cure = "network or machine", "a stream of fewer bytes"
+    return Finding(
+        part="cameras",
+        problem=f"expected {shared[0].request.frame_rate_hz:g} images a second of all at once, got "
+        f"{rates}: the {full} that they share is full",
+        cure=f"{cure}, or a smaller size",
+    )
+
+
+def _size(size: tuple[int, int] | None) -> str:
+    return "unknown size" if size is None else f"{size[0]} x {size[1]}"
+
 
 _JOINT_LIMIT_TOLERANCE_RAD: Final = 0.02
 """Tolerance of a joint's limits, rad, for sagging and backlash of the gears (chosen)."""

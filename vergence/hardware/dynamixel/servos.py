@@ -24,14 +24,21 @@ from vergence.envs.reading import BoolArray
 from vergence.errors import Finding, HardwareError, ServoRefusalError, VergenceWarning
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import SYNC_READ_BYTES, Bus
-from vergence.hardware.dynamixel.checks import LATE_ANSWERS_CURE, check_servos, open_bus
+from vergence.hardware.dynamixel.checks import (
+    LATE_ANSWERS_CURE,
+    HealthWatch,
+    Level,
+    check_servos,
+    open_bus,
+    read_health,
+    read_limits,
+)
 from vergence.hardware.dynamixel.control_table import (
     MOTION_SPAN,
     Register,
     describe_fault_bits,
     model_name,
 )
-from vergence.hardware.dynamixel.health import HealthWatch, Level, read_health, read_limits
 from vergence.hardware.servos import SILENT_S, ServoConfig, ServoReading, Servos
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
