@@ -108,13 +108,6 @@ def test_a_later_image_of_the_other_eye_ends_the_wait_at_once():
     assert lone.right is None
 
 
-def test_what_waits_can_be_forgotten():
-    pairing = Pairing(TOLERANCE_S, FRAME_S)
-    pairing.add(0, sight(0.0))
-    pairing.clear()
-    assert drain(pairing, 1e9) == []
-
-
 def test_a_pair_is_dated_in_the_middle_and_ready_with_the_later_one():
     (pair,) = run([sight(1.0, ready_s=1.2)], [sight(1.01, ready_s=1.15)])
     assert abs(pair.exposed_s - 1.005) < 1e-12

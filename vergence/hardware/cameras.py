@@ -69,18 +69,7 @@ _JOIN_S: Final = 3.0
 
 
 class EyeThread(threading.Thread):
-    """Thread that reads every image of one eye's camera and detects the target in it.
-
-    Args:
-        config: the camera.
-        head: the model of the head.
-        search: the search for the target in the eye's images.
-        history: joint angles by time, for tracking the target while the eye turns.
-        clock: a monotonic clock, s.
-
-    Raises:
-        HardwareError: the camera cannot be opened.
-    """
+    """Thread that reads every image of one eye's camera and detects the target in it."""
 
     def __init__(
         self,
@@ -94,10 +83,7 @@ class EyeThread(threading.Thread):
         self.config = config
         self.frame: Image | None = None
         self.images = self.found = 0
-        self._history = history
-        self._clock = clock
-        self._head = head
-        self._search = search
+        self._history, self._clock, self._head, self._search = history, clock, head, search
         self._new: deque[SearchedImage] = deque(maxlen=64)
         self._forget = self._ended = self._target_visible = False
         self._steady = threading.Event()
@@ -114,14 +100,8 @@ class EyeThread(threading.Thread):
             frame_rate_hz=head.timing.frame_rate_hz,
             exposure_s=config.exposure_s,
         )
-        _LOG.info(
-            "%s: opened %s for %d x %d px at %g Hz",
-            config.name,
-            config.source,
-            width,
-            height,
-            head.timing.frame_rate_hz,
-        )
+        opened = config.name, config.source, width, height, head.timing.frame_rate_hz
+        _LOG.info("%s: opened %s for %d x %d px at %g Hz", *opened)
 
     def run(self) -> None:
         """Read images until the stream ends or the eye is closed."""
@@ -202,9 +182,8 @@ class EyeThread(threading.Thread):
             _LOG.info("%s: first image", self.config.name)
         if self._target_visible != (found is not None):
             self._target_visible = not self._target_visible
-            _LOG.debug(
-                "%s: target %s", self.config.name, "found" if self._target_visible else "lost"
-            )
+            state = "found" if self._target_visible else "lost"
+            _LOG.debug("%s: target %s", self.config.name, state)
         self.images += 1
         self.found += found is not None
         self.frame = grey
@@ -213,11 +192,7 @@ class EyeThread(threading.Thread):
 
     @property
     def newest_received_s(self) -> float:
-        """Time of receipt of the newest image, s.
-
-        A camera that hangs may repeat its last image for ever, so an image that has not changed
-        while the eye turned does not count.
-        """
+        """Time of receipt of the newest image, s, but for one that a hanging camera repeats."""
         return self._newest_s
 
     @property
@@ -226,11 +201,7 @@ class EyeThread(threading.Thread):
         return self._steady.is_set()
 
     def check(self) -> None:
-        """Raise an error if the camera has ended or stalled.
-
-        Raises:
-            HardwareError: it has.
-        """
+        """Raise a `HardwareError` if the camera has ended or stalled."""
         if self._fault:
             raise HardwareError(f"{self.config.name}: {self.config.source}: {self._fault}")
         silent_s = self._clock() - self._last_s
@@ -269,17 +240,9 @@ _READY_TIMEOUT_S: Final = 10.0
 
 
 class HeadEyes:
-    """The eyes of one head.
+    """The eyes of one head: `threads` of the left and the right, and the `search` in both.
 
-    Args:
-        config: the hardware configuration.
-        history: joint angles by time.
-        log: receives detections and images; None for no log.
-        clock: a monotonic clock, s.
-
-    Attributes:
-        threads: camera threads of the left and the right eye; empty while closed.
-        search: the search for the target in their images; None before `open`.
+    While closed there are no threads; before `open` there is no search.
     """
 
     def __init__(
@@ -297,10 +260,7 @@ class HeadEyes:
         self._settings = ExitStack()
 
     def open(self, idle: Callable[[], None]) -> None:
-        """Open both cameras, and wait until their images arrive at the frame rate.
-
-        Args:
-            idle: called repeatedly while waiting; it has to sleep for a short time.
+        """Open both cameras, and call `idle`, which sleeps a little, until images come in pace.
 
         Raises:
             HardwareError: a camera gives no images.
@@ -342,11 +302,7 @@ class HeadEyes:
         return np.array([eye.newest_received_s for eye in self.threads])
 
     def check(self) -> None:
-        """Raise an error if a camera has ended or stalled.
-
-        Raises:
-            HardwareError: a camera has.
-        """
+        """Raise a `HardwareError` if a camera has ended or stalled."""
         for eye in self.threads:
             eye.check()
 

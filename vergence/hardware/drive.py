@@ -12,9 +12,11 @@ import logging
 import os
 import threading
 import time
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from operator import itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -69,13 +71,7 @@ _MIN_INTERVAL_S: Final = 1.0
 
 
 class CountLog:
-    """Log lines for events of any control period: at most one line a second, with their count.
-
-    Args:
-        level: the logging level of the lines.
-        text: the format of a line: a %d for the count, then the values given to `add`.
-        clock: a monotonic clock, s.
-    """
+    """Log lines for events of any control period: at most one line a second, with their count."""
 
     def __init__(self, level: int, text: str, clock: Callable[[], float]) -> None:
         self._level, self._text, self._clock = level, text, clock
@@ -130,16 +126,16 @@ class JointHistory:
         self.newest()
         with self._lock:
             rows = list(self._rows)
-        times = [row.time_s for row in rows]
-        i = int(np.searchsorted(times, time_s))
+        i = bisect_left(rows, time_s, key=itemgetter(0))
         if i == 0:
             return rows[0].positions.copy()
         before = rows[i - 1]
         if i == len(rows):
             ahead_s = min(time_s - before.time_s, _MAX_EXTRAPOLATION_S)
             return np.asarray(before.positions + ahead_s * before.velocities)
-        share = (time_s - before.time_s) / (times[i] - before.time_s)
-        return np.asarray(before.positions + share * (rows[i].positions - before.positions))
+        after = rows[i]
+        share = (time_s - before.time_s) / (after.time_s - before.time_s)
+        return np.asarray(before.positions + share * (after.positions - before.positions))
 
 
 class RunningTrial(NamedTuple):
@@ -160,21 +156,9 @@ def settle(
 ) -> BoolArray:
     """Read that joints come to rest at a goal of zero; those that do not lose their torque.
 
-    A joint whose speed grows loses it at once, others after `_SETTLE_S`.
-
-    Args:
-        servos: the servos.
-        scales: (n,) turns of the joint per turn of the servo.
-        watched: (n,) True for those that have torque.
-        clock: a monotonic clock, s.
-        sleep: waits for some seconds.
-
-    Returns:
-        (n,) True for joints that did not come to rest, and have lost their torque as far as the
-        line allows.
-
-    Raises:
-        HardwareError: the line is gone.
+    A joint whose speed grows loses it at once, others after `_SETTLE_S`. All arrays are (n,):
+    `scales` are turns of joints per turn of servos, `watched` the servos that have torque; the
+    result is True for those that did not come to rest.
     """
     begun_s = clock()
     rows: deque[tuple[float, FloatArray]] = deque(maxlen=64)
@@ -212,21 +196,7 @@ def release(servos: Servos, which: BoolArray) -> BoolArray:
 class DriveThread(threading.Thread):
     """Sends commands to open servos, and keeps sending if the caller is late.
 
-    Args:
-        servos: the servos, open.
-        config: the hardware configuration.
-        supervisor: turns requested velocities into safe commands.
-        history: receives every reading of the joints.
-        log: receives the readings and all commands; None for no log.
-        clock: a monotonic clock, s.
-        sleep: waits for some seconds.
-
-    Attributes:
-        angles: angles of the actuators.
-        last_sent: (7,) velocities that were sent last, rad/s.
-        sent: (7,) velocities that the last `period` has sent, rad/s.
-        overruns: number of missed control periods.
-        tick: number of the schedule's present tick.
+    `last_sent` are the (7,) velocities that were sent last, `sent` those of the last `period`.
     """
 
     def __init__(
@@ -329,11 +299,7 @@ class DriveThread(threading.Thread):
             raise HardwareError("the head is closed: expected a reset first")
 
     def sense(self) -> Joints:
-        """Read the joints; one that does not answer is extrapolated at its last speed.
-
-        Raises:
-            HardwareError: a servo has a fault, or has not answered for 0.1 s, or the line is gone.
-        """
+        """Read the joints; one that does not answer is extrapolated at its last speed."""
         with self._exclusive():
             reading = self._servos.read()
             self._heard()
@@ -388,11 +354,7 @@ class DriveThread(threading.Thread):
         return [finding for finding in findings if finding.part not in before]
 
     def send(self, requested: FloatArray, trial: RunningTrial | None = None) -> FloatArray:
-        """Send the supervisor's command for some requested velocities; both (7,) rad/s.
-
-        Raises:
-            HardwareError: the line is gone, or the servos have stopped in a pause.
-        """
+        """Send the supervisor's command for some requested velocities; both (7,) rad/s."""
         while True:
             with self._exclusive():
                 # at least a period after a command of the thread
@@ -539,11 +501,7 @@ class DriveThread(threading.Thread):
         return ", ".join(np.array([servo.name for servo in self._config.servos])[which])
 
     def send_if_late(self) -> float:
-        """Send a command if the caller's next one is late.
-
-        Returns:
-            Time until the next call of this method, s.
-        """
+        """Send a command if the caller's next one is late; return the time to the next call, s."""
         with self._lock:
             now = self._clock()
             left_s = self._sent_s + HOLD_PERIODS * self._period_s - now

@@ -33,6 +33,9 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation.rays import DEPTH_RANGE_M
 from vergence.vision.detection import BoardDetection, Detection
 
+_PARALLEL_SINE_SQUARED: Final = 1e-8
+"""Squared sine of the angle below which two lines count as parallel: 0.1 mrad (numerical)."""
+
 
 class SearchedImage(NamedTuple):
     """One eye's image after the detection."""
@@ -77,37 +80,22 @@ class PairCounts:
 
 
 class Pairing:
-    """Pairs the images of two eyes as they arrive.
+    """Pairs the images of two eyes, exposed at most `tolerance_s` apart, as they arrive.
 
-    Args:
-        tolerance_s: greatest time between the exposures of a pair, s.
-        wait_s: longest wait of an image for its partner after it is ready, s.
-
-    Attributes:
-        counts: numbers of pairs and lone images so far.
+    An image waits for its partner for `wait_s` after it is ready; `counts` has what came of them.
     """
 
     def __init__(self, tolerance_s: float, wait_s: float) -> None:
-        self._tolerance_s = tolerance_s
-        self._wait_s = wait_s
+        self._tolerance_s, self._wait_s = tolerance_s, wait_s
         self._waiting: tuple[deque[SearchedImage], deque[SearchedImage]] = (deque(), deque())
         self.counts = PairCounts()
-
-    def clear(self) -> None:
-        """Discard the images that wait."""
-        for queue in self._waiting:
-            queue.clear()
 
     def add(self, eye: int, image: SearchedImage) -> None:
         """Add an image of an eye, 0 for left; each eye's images come in order of exposure."""
         self._waiting[eye].append(image)
 
     def next(self, now_s: float) -> SearchedPair | None:
-        """The next pair or lone image, in the order of exposure; None while all wait.
-
-        Args:
-            now_s: present time, s.
-        """
+        """The next pair or lone image, in the order of exposure; None while all wait."""
         left, right = self._waiting
         if left and right:
             apart_s = left[0].exposed_s - right[0].exposed_s
@@ -129,10 +117,6 @@ class Pairing:
         return SearchedPair(None, image)
 
 
-_PARALLEL_SINE_SQUARED: Final = 1e-8
-"""Squared sine of the angle below which two lines count as parallel: 0.1 mrad (numerical)."""
-
-
 def pixels_at_common_time(
     head: HeadModel, pixels: FloatArray, exposure_joints: FloatArray, common_joints: FloatArray
 ) -> FloatArray:
@@ -147,16 +131,15 @@ def pixels_at_common_time(
     Returns:
         (2, 2) raw pixels, px; nan if a pixel has no ray or the target is out of view at that time.
     """
-    T_0_C = head.base_pose(exposure_joints) @ np.stack(
-        [head.camera_poses(exposure_joints[eye])[eye] for eye in range(2)]
-    )
+    q = np.vstack([exposure_joints, common_joints])
+    T_0_C = head.base_pose(q)[:, np.newaxis] @ head.camera_poses(q)  # by time, by eye
+    then = T_0_C[[0, 1], [0, 1]]
     cameras = _cameras(head)
     rays = [np.append(cameras[eye].rays(pixels[eye][None])[0], 1.0) for eye in range(2)]
-    origins = T_0_C[:, :3, 3]
-    directions = np.stack([T_0_C[eye, :3, :3] @ rays[eye] for eye in range(2)])
-    depths = _depths(origins, directions)
-    points = origins + depths[:, None] * directions
-    T_C_0 = np.linalg.inv(head.base_pose(common_joints) @ head.camera_poses(common_joints))
+    origins = then[:, :3, 3]
+    directions = np.stack([then[eye, :3, :3] @ rays[eye] for eye in range(2)])
+    points = origins + _depths(origins, directions)[:, None] * directions
+    T_C_0 = np.linalg.inv(T_0_C[2])
     seen = np.einsum("eij,ej->ei", T_C_0[:, :3, :3], points) + T_C_0[:, :3, 3]
     return np.concatenate([cameras[eye].project(seen[eye][None]) for eye in range(2)])
 
@@ -168,9 +151,9 @@ def _cameras(head: HeadModel) -> tuple[Camera, Camera]:
 
 
 def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:
-    """(2,) depths of the closest approach of two lines, clipped to `DEPTH_RANGE_M`.
+    """(2,) depths of the closest approach of two lines, in lengths of their directions.
 
-    In units of the lengths of their directions.
+    They are clipped to `DEPTH_RANGE_M`.
     """
     left, right = directions
     a, b, c = left @ left, left @ right, right @ right
@@ -191,11 +174,6 @@ def merge_pair(
     """Merge a pair of images into one exposure time, s, and (2, 2) pixels of that time.
 
     If only one eye has found the target, the time is its own exposure's.
-
-    Args:
-        head: the model of the head.
-        pair: a pair of images, or one eye's alone.
-        history: joint angles by time.
     """
     pixels = np.full((2, 2), np.nan)
     for eye, image in enumerate(pair):
@@ -204,6 +182,5 @@ def merge_pair(
     seeing = [one for one in pair if one is not None and np.isfinite(one.pixel).all()]
     if len(seeing) < 2:
         return (seeing[0].exposed_s if seeing else pair.exposed_s), pixels
-    common_s = pair.exposed_s
     exposed = np.stack([history.at(one.exposed_s) for one in seeing])
-    return common_s, pixels_at_common_time(head, pixels, exposed, history.at(common_s))
+    return pair.exposed_s, pixels_at_common_time(head, pixels, exposed, history.at(pair.exposed_s))

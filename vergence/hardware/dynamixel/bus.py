@@ -57,12 +57,7 @@ _MAX_DRAIN_BYTES: Final = 1 << 16
 
 
 class SerialLine:
-    """An open serial port of this process alone, with timeouts on the monotonic clock.
-
-    Raises:
-        HardwareError: the port does not exist, is not a serial port, is open in another process or
-            does not support this rate, or the system is neither Linux nor macOS.
-    """
+    """An open serial port of this process alone, with timeouts on the monotonic clock."""
 
     def __init__(self, port: str, baud: int = 1_000_000) -> None:
         try:
@@ -195,24 +190,6 @@ class Bus:
     from the right one, as the protocol does not number requests.)
 
     The servos' STATUS_RETURN_LEVEL must be 2, the factory default.
-
-    Args:
-        port: the device file, such as "/dev/ttyUSB0".
-        baud: baud rate, bit/s.
-        cycle_timeout_s: timeout of the answers to a sync read, beyond their time on the wire, s.
-        single_timeout_s: timeout of a single answer, beyond its time on the wire, s; a write into
-            the EEPROM has `EEPROM_TIMEOUT_S` at least.
-
-    Attributes:
-        line: the serial line.
-        names: names of servos by id, for messages.
-        exchange_s: time from the last request to the last of its answers, s.
-        missed_answers: number of answers that did not arrive.
-        stale: number of answers by id that did not match the open request, as late ones.
-        alerts: ids of the servos whose last answer announced a hardware error.
-
-    Raises:
-        HardwareError: see `SerialLine`.
     """
 
     def __init__(
@@ -226,10 +203,10 @@ class Bus:
         self.line = SerialLine(port, baud)
         self.cycle_timeout_s, self.single_timeout_s = cycle_timeout_s, single_timeout_s
         self.missed_answers = 0
-        self.stale: Counter[int] = Counter()
-        self.exchange_s = 0.0
-        self.names: dict[int, str] = {}
-        self.alerts: set[int] = set()
+        self.stale: Counter[int] = Counter()  # answers by id without an open request, as late ones
+        self.exchange_s = 0.0  # from the last request to the last of its answers
+        self.names: dict[int, str] = {}  # of servos by id, for messages
+        self.alerts: set[int] = set()  # ids whose last answer announced a hardware error
         self._parser = PacketParser()
 
     @property
@@ -246,9 +223,6 @@ class Bus:
         """Ping a servo; return its model number, None if none has this id.
 
         Servos whose answers damage each other give a damaged packet for each request.
-
-        Raises:
-            HardwareError: the line is gone.
         """
         _check_id(id)
         packet = instruction_packet(id, Instruction.PING)
@@ -259,12 +233,7 @@ class Bus:
         return None
 
     def read(self, id: int, register: Register, requests: int = REQUESTS) -> int:
-        """Read the value of a register, and ask again if the answer is lost.
-
-        Raises:
-            ServoRefusalError: the servo refuses.
-            HardwareError: the servo does not answer, or the line is gone.
-        """
+        """Read the value of a register, and ask again if the answer is lost."""
         return ask_again(lambda: self._read(id, register), requests)
 
     def _read(self, id: int, register: Register) -> int:
@@ -275,13 +244,7 @@ class Bus:
         return register.decode(status.data)
 
     def write(self, id: int, register: Register, value: int, requests: int = REQUESTS) -> None:
-        """Write a value into a register until the servo confirms it.
-
-        Raises:
-            ConfigurationError: the register cannot hold the value.
-            ServoRefusalError: the servo refuses.
-            HardwareError: the servo does not answer, or the line is gone.
-        """
+        """Write a value into a register until the servo confirms it."""
         ask_again(lambda: self._write(id, register, value), requests)
 
     def _write(self, id: int, register: Register, value: int) -> None:
@@ -296,20 +259,7 @@ class Bus:
     def sync_read(
         self, ids: Iterable[int], address: int, length: int, *, timeout_s: float | None = None
     ) -> dict[int, bytes]:
-        """Read a span of registers from several servos with one request.
-
-        Args:
-            ids: ids of the servos.
-            address: address of the first byte.
-            length: number of bytes.
-            timeout_s: timeout in place of the bus's `cycle_timeout_s`, s.
-
-        Returns:
-            The bytes of the servos that answered, by id.
-
-        Raises:
-            HardwareError: the line is gone.
-        """
+        """Read a span of registers from several servos with one request."""
         ids = list(dict.fromkeys(ids))
         for id in ids:
             _check_id(id)
@@ -326,11 +276,7 @@ class Bus:
     def read_memory(
         self, id: int, spans: Sequence[tuple[int, int]] = REGISTER_SPANS
     ) -> ServoMemory:
-        """Read spans of a servo's registers, addresses and lengths.
-
-        Raises:
-            HardwareError: the servo does not answer, or the line is gone.
-        """
+        """Read spans of a servo's registers, addresses and lengths."""
         found: dict[int, bytes] = {}
         for address, length in spans:
             for _ in range(REQUESTS):
@@ -346,16 +292,7 @@ class Bus:
         return ServoMemory(found)
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """Write a register of several servos at once; they do not answer.
-
-        Args:
-            register: the register.
-            values: values by id.
-
-        Raises:
-            ConfigurationError: the register cannot hold a value.
-            HardwareError: the line is gone.
-        """
+        """Write a register of several servos at once; they do not answer."""
         params = _span(register.address, register.length)
         for id, value in values.items():
             _check_id(id)
@@ -384,11 +321,7 @@ class Bus:
     def _ask(
         self, packet: bytes, ids: list[int], length: int, timeout_s: float
     ) -> tuple[dict[int, Status], dict[int, int]]:
-        """Send a request and wait for its answers.
-
-        Returns:
-            Matching answers by id, and the data lengths of answers with a wrong length by id.
-        """
+        """Send a request and wait for its answers."""
         self._discard_late()
         self.line.send(packet)
         answers_bytes = len(ids) * (_STATUS_BYTES + length)

@@ -246,12 +246,7 @@ _DRIVE_MODES: Final = {
 
 
 def open_bus(port: str, baud_rate: int) -> Bus:
-    """Open the line of the servos.
-
-    Raises:
-        ChecksFailedError: the port does not exist, is open in another process or cannot be opened;
-            the finding names the cure.
-    """
+    """Open the line of the servos."""
     if not os.path.exists(port):
         found = [one for pattern in _PORTS for one in sorted(glob(pattern))]
         problem = f"expected a serial port, got {port}: no such device"

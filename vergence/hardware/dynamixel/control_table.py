@@ -11,14 +11,7 @@ from vergence.errors import ConfigurationError
 
 
 class Register(NamedTuple):
-    """A number in a servo's memory, little-endian.
-
-    Attributes:
-        name: name in ROBOTIS's manuals, in capitals.
-        address: address of its first byte.
-        length: number of bytes.
-        signed: True for a two's complement number.
-    """
+    """A number in a servo's memory, little-endian."""
 
     name: str
     address: int
@@ -165,11 +158,7 @@ Users report that on XL330 and XC330 with firmware 51 a tripped BUS_WATCHDOG doe
 
 
 def model_number(name: str) -> int:
-    """MODEL_NUMBER of a servo.
-
-    Raises:
-        ConfigurationError: it has other registers.
-    """
+    """MODEL_NUMBER of a servo."""
     for number, known in MODELS.items():
         if known == name:
             return number

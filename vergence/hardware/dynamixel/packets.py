@@ -72,14 +72,7 @@ ALERT: Final = 0x80
 
 
 class Status(NamedTuple):
-    """A servo's answer.
-
-    Attributes:
-        id: id of the servo that answers.
-        error: an `ErrorNumber`, or 0 if the instruction was executed.
-        alert: True if the servo has a hardware error, independent of the instruction.
-        data: bytes that were read; empty for writes.
-    """
+    """A servo's answer."""
 
     id: int
     error: int
@@ -122,16 +115,7 @@ def crc16(data: bytes | bytearray) -> int:
 
 
 def instruction_packet(id: int, instruction: int, params: bytes = b"") -> bytes:
-    """Encode a packet for the wire.
-
-    Args:
-        id: id of the servo, 0 to 252, or BROADCAST.
-        instruction: one of `Instruction`.
-        params: parameters of the instruction, without byte stuffing.
-
-    Raises:
-        ConfigurationError: another id, or more parameters than a packet takes.
-    """
+    """Encode a packet for the wire."""
     if not _is_id(id):
         raise ConfigurationError(f"id: expected 0 to {MOST_ID} or {BROADCAST}, got {id}")
     body = (bytes((instruction,)) + params).replace(_UNSTUFFED, _STUFFED)
@@ -160,10 +144,6 @@ class PacketParser:
     continues directly behind its header, so a packet inside a damaged one is found. A header inside
     an incomplete packet shows that this packet is damaged, so a wrong, large length does not hold
     back later packets.
-
-    Attributes:
-        rejected: number of headers so far that began no valid packet.
-        skipped: number of bytes so far outside valid packets.
     """
 
     def __init__(self) -> None:
