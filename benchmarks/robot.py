@@ -1,4 +1,4 @@
-"""Measure the lateness of commands at 120 Hz, with and without real-time priority.
+"""Measure the lateness of commands at 120 Hz (`--rate`), with and without real-time priority.
 
 Run ``python -m benchmarks.robot``, with ``--csv docs/results/robot.csv`` to keep the table. It
 starts `vergence emulate` with the head `turrets` at 120 Hz, and deploys a law on it with a log, as
@@ -32,13 +32,12 @@ from vergence.models.parts import FloatArray
 from vergence.models.toml_table import toml_text
 from vergence.recording.log import LoggedTrial, read_log
 
-RATE_HZ = 120.0
 LAW = "state-feedback"
 PRIORITY = 50
 GAZE_S = 3.0
 
 
-def bare(seconds: float, period_s: float = 1.0 / RATE_HZ) -> tuple[int, int, list[float]]:
+def bare(seconds: float, period_s: float) -> tuple[int, int, list[float]]:
     """Missed periods and all periods of a loop that only sleeps, and its wake-up latencies, s."""
     begun_s = time.monotonic()
     missed, tick, lateness = 0, 0, []
@@ -52,14 +51,14 @@ def bare(seconds: float, period_s: float = 1.0 / RATE_HZ) -> tuple[int, int, lis
     return missed, tick, lateness
 
 
-def lateness_of(trial: LoggedTrial) -> list[float]:
+def lateness_of(trial: LoggedTrial, period_s: float) -> list[float]:
     """Times from the ticks at which a trial's commands were due to their sending, s."""
     ticks_s = trial.begun_s + trial.readings.time_s[:-1, 0]
     sent_s = [one.clock_s for one in trial.commands[1 : trial.steps]]
-    return [*(np.array(sent_s) - (ticks_s[:-1] + 1.0 / RATE_HZ))]
+    return [*(np.array(sent_s) - (ticks_s[:-1] + period_s))]
 
 
-def gazes(robot: Path, seconds: float) -> tuple[int, int, list[float]]:
+def gazes(robot: Path, seconds: float, period_s: float) -> tuple[int, int, list[float]]:
     """Missed periods and all periods of a law on the head, and lateness of its commands, s."""
     wanted = DeployConfig(
         controller=LAW,
@@ -72,7 +71,7 @@ def gazes(robot: Path, seconds: float) -> tuple[int, int, list[float]]:
         if found.error is not None:
             raise found.error
         trials = read_log(found.log).trials
-    lateness = [one for trial in trials for one in lateness_of(trial)]
+    lateness = [one for trial in trials for one in lateness_of(trial, period_s)]
     return found.gazes.missed_periods, found.gazes.periods, lateness
 
 
@@ -100,14 +99,14 @@ def row(
     }
 
 
-def measure(robot: Path, seconds: float) -> list[dict[str, Any]]:
+def measure(robot: Path, seconds: float, period_s: float) -> list[dict[str, Any]]:
     """Rows of the bare timer and of the law."""
     marks = [stolen_by_now()]
-    before = bare(0.5 * seconds)
+    before = bare(0.5 * seconds, period_s)
     marks.append(stolen_by_now())
-    law = gazes(robot, seconds)
+    law = gazes(robot, seconds, period_s)
     marks.append(stolen_by_now())
-    after = bare(0.5 * seconds)
+    after = bare(0.5 * seconds, period_s)
     marks.append(stolen_by_now())
     timer = before[0] + after[0], before[1] + after[1], before[2] + after[2]
     first, second, third = np.diff(marks, axis=0)
@@ -118,24 +117,28 @@ def main() -> None:
     """Measure, and print a row for each loop."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--rate", type=float, default=120.0, help="control rate, Hz")
     parser.add_argument("--csv", type=Path)
     chosen = parser.parse_args()
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "fast.toml"
-        save_head(load_head("turrets").replace(timing={"control_rate_hz": RATE_HZ}), file)
+        save_head(load_head("turrets").replace(timing={"control_rate_hz": chosen.rate}), file)
         with emulated("--head", str(file)) as config:
             plain = tomllib.loads(config.text)
             del plain["emulator"]
             robot = Path(folder) / "robot.toml"
             robot.write_text(toml_text(plain))
-            rows += [{"priority": "none", **one} for one in measure(robot, chosen.seconds)]
+            rows += [
+                {"priority": "none", **one}
+                for one in measure(robot, chosen.seconds, 1.0 / chosen.rate)
+            ]
             try:
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
             except (OSError, AttributeError) as error:
                 print(f"no real-time priority here: {error}", file=sys.stderr)
             else:
-                found = measure(robot, chosen.seconds)
+                found = measure(robot, chosen.seconds, 1.0 / chosen.rate)
                 rows += [{"priority": "real-time", **one} for one in found]
     table = pd.DataFrame(rows)
     if chosen.csv is not None:
