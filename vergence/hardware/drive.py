@@ -514,6 +514,8 @@ class DriveThread(threading.Thread):
                 self.sense()
                 self._send(np.zeros(7) if late else self.last_sent)
             except Exception as error:  # a thread that ended could not brake
+                if self._closed.is_set():  # meanwhile, which is no fault
+                    return self._period_s
                 self._supervisor.stop(str(error))
                 with suppress(HardwareError):
                     self._send(np.zeros(7))

@@ -163,7 +163,8 @@ class Robot:
             self.drive.start()
             self.eyes.open(self._idle)
         except BaseException:
-            self.close()
+            with suppress(HardwareError):  # the first error has the reason
+                self.close()
             raise
         _LOG.info("prepared in %.1f s", self._clock() - begun_s)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from vergence.entry_points import user_error_with_place
 from vergence.envs.reading import BoolArray
-from vergence.errors import ConfigurationError, Finding, HardwareError
+from vergence.errors import Finding, HardwareError
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, NECK, FloatArray
 
@@ -83,8 +83,10 @@ class ServoReading(NamedTuple):
 class Servos(ABC):
     """The servos of a head on their bus, which take speeds; the interface of a bus.
 
-    All arrays are (n,), in the order of `servos`. An error on which nothing may move on is raised
-    as a `vergence.errors.HardwareError`: the head then comes to rest as far as the bus allows.
+    All arrays are (n,), in the order of `servos`. One thread at a time calls, and waits: `read` and
+    `send` together should take less than half a control period. A servo that does not answer is no
+    error (`ServoReading.ages_s`). Anything raised, best a `vergence.errors.HardwareError` with the
+    cure, stops the head: it comes to rest as far as the bus allows.
 
     Args:
         servos: the servos.
@@ -102,7 +104,8 @@ class Servos(ABC):
     reports_speed: bool = True
     """False if speeds have to be computed from angles."""
     fault: str = ""
-    """What the servos tell in `read` to be wrong with them, in words; the head stops at once."""
+    """What the servos tell in `read` to be wrong with them, in words, until `open` clears it; the
+    head stops at once."""
     must_let_go: BoolArray = np.zeros((), dtype=np.bool_)
     """Servos that have to lose their torque: with a `fault` at once, else as soon as they rest, as
     hot ones do."""
@@ -192,7 +195,7 @@ def guard(servos: Servos) -> Servos:
                         f"{', '.join(str(one.shape) for one in arrays)}"
                     )
                 return ServoReading(float(found[0]), *arrays) if name == "read" else arrays[0]
-        except (HardwareError, ConfigurationError):
+        except HardwareError:
             raise
         except Exception as error:
             raise HardwareError(f"bus: {user_error_with_place(error)}") from error
