@@ -148,6 +148,21 @@ def test_a_request_that_is_none_is_answered_with_an_error(served):
     assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
 
 
+def test_a_client_puts_joints_at_angles_where_they_stay(served):
+    served.client.turn({"left_pan": 0.2, "right_pan": -0.1})
+    for _ in range(2):
+        positions = served.client.ask({"state": None})["positions"]
+        assert positions[3:] == pytest.approx([0.2, 0.0, -0.1, 0.0])
+        served.clock.sleep(1.0)
+    truth = served.client.truth(served.world.head, 0.0)
+    assert truth.pixels[0] == pytest.approx(served.world.head.project(truth.positions[0], POINT))
+    served.client.turn({"left_tilt": 1e3})
+    assert served.world.servos["left_tilt"].joint == served.world.servos["left_tilt"].upper
+    for angles in ({"left": 0.1}, {"left_pan": np.nan}):
+        with pytest.raises(HardwareError, match=r"turn: expected finite angles of left_pan, "):
+            served.client.turn(angles)
+
+
 def test_a_client_that_has_gone_takes_nobody_with_it(served):
     host, port = served.server.address.split(":")
     socket.create_connection((host, int(port))).close()

@@ -6,6 +6,7 @@ machine's monotonic clock, which all its processes share.
 
 import json
 import socket
+from collections.abc import Mapping
 from typing import Any, Final
 
 from vergence.envs.reading import Truth
@@ -71,6 +72,20 @@ class WorldClient:
     def start_target_motion(self, now_s: float) -> None:
         """Start the motion of the target that was placed: this instant is time 0 of its path."""
         self.ask({"begin": now_s})
+
+    def turn(self, angles: Mapping[str, float]) -> None:
+        """Put emulated joints at angles at once, as a bus of one's own that moves them does.
+
+        The emulated cameras show them there. Servos without torque stay; with torque they go on to
+        their goals. An angle beyond an end stop becomes that stop's.
+
+        Args:
+            angles: angles by the actuator's name, rad; other joints stay as they are.
+
+        Raises:
+            HardwareError: no such actuator, or an angle that is not finite.
+        """
+        self.ask({"turn": dict(angles)})
 
     def begin_fault(self, **request: Any) -> float:
         """Begin a fault, see `vergence.hardware.emulator.faults`; return when, s."""

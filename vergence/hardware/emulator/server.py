@@ -7,6 +7,7 @@ one. The object's only key is
     expose                      ground truth and camera faults, at the exposure of an image
     exposures                   times of the last exposures: {"times": [s, ...]}
     show, begin                 place a target, and start its time
+    turn                        put joints at angles, see `WorldClient.turn`
     streams                     set the URL of the cameras' streams
     fault, clear                begin a fault (see `parse_fault`), and end all: {"time": s}
     unplug                      pull the cable of the line
@@ -216,6 +217,8 @@ class EmulatorServer:
             world.place_target(request["show"])
         elif "begin" in request:
             world.start_target_motion(float(request["begin"]))
+        elif "turn" in request:
+            world.turn(request["turn"], now_s)
         elif "unplug" in request:
             self._unplug()
         elif "streams" in request:

@@ -422,6 +422,14 @@ class EmulatedServo:
         if self._due_s() <= at_s:
             self._trip()
 
+    def turn_to(self, angle_rad: float) -> None:
+        """Put the joint at rest at an angle, or at its end stop if that is beyond."""
+        self.q = self._joint = min(max(angle_rad, self.lower), self.upper)
+        self.v = self._reported = self._ramped = 0.0
+        self._own_loop = False
+        if self._at_s is not None:
+            self._keep(self._at_s)
+
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Error number and bytes of the answer to a read instruction."""
         self._report()

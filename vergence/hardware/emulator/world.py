@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Collection, Iterable, Iterator
 from functools import reduce
 from itertools import zip_longest
-from math import ceil
+from math import ceil, isfinite
 from operator import and_
 from typing import Any, Final, NamedTuple
 
@@ -379,6 +379,16 @@ class World:
         delay_s = self._answer_latency_s + sum(answer.return_delay_s for answer in answers)
         sent = apply_line_faults(answers, self.faults.active_on("line"), self._rng)
         return [(delay_s + late_s, data) for late_s, data in sent]
+
+    def turn(self, angles: dict[str, float], now_s: float) -> None:
+        """Put joints at angles at once, rad by the actuator's name; see `WorldClient.turn`."""
+        angles = {name: float(angle) for name, angle in angles.items()}
+        if not angles.keys() <= self.servos.keys() or not all(map(isfinite, angles.values())):
+            expected = f"finite angles of {', '.join(self.servos)}"
+            raise ConfigurationError(f"turn: expected {expected}, got {angles}")
+        self.advance_to(now_s)
+        for name, angle in angles.items():
+            self.servos[name].turn_to(angle)
 
     def begin_fault(self, fault: Fault, now_s: float) -> None:
         """Begin a fault."""
