@@ -45,7 +45,7 @@ WRONG: dict[str, dict[str, tuple[dict[str, Any], str]]] = {
         "goals doubled": ({"goal-scale": ("left_pan", 2.0)}, "left_pan: .*GOAL_VELOCITY"),
         "goals reversed": ({"goal-scale": ("left_pan", -1.0)}, "left_pan: .*sign of its speeds"),
         "speeds halved": ({"speed-scale": ("left_tilt", 0.5)}, "left_tilt: .*PRESENT_VELOCITY"),
-        "speeds reversed": ({"speed-scale": ("left_tilt", -1.0)}, "PRESENT_VELOCITY.*sign"),
+        "speeds reversed": ({"speed-scale": ("left_tilt", -1.0)}, "the sign .*PRESENT_VELOCITY"),
         "gear": ({"gear": ("right_pan", 2.0)}, "right_pan: .*gear_ratio"),
     },
     "icub": {
@@ -57,7 +57,7 @@ WRONG: dict[str, dict[str, tuple[dict[str, Any], str]]] = {
         "goals doubled": ({"goal-scale": ("eyes_version", 2.0)}, "eyes_version: .*GOAL_VELOCITY"),
         "goals reversed": ({"goal-scale": ("eyes_version", -1.0)}, "eyes_version: .*of its speeds"),
         "speeds doubled": ({"speed-scale": ("eyes_tilt", 2.0)}, "eyes_tilt: .*PRESENT_VELOCITY"),
-        "speeds reversed": ({"speed-scale": ("eyes_tilt", -1.0)}, "PRESENT_VELOCITY.*sign"),
+        "speeds reversed": ({"speed-scale": ("eyes_tilt", -1.0)}, "the sign .*PRESENT_VELOCITY"),
         "gear": ({"gear": ("eyes_version", 0.5)}, "eyes_version: .*gear_ratio"),
     },
 }

@@ -124,10 +124,11 @@ def test_speeds_of_another_unit_are_named():
     servo = virtual_config().servos[0]
     check = ViewCheck(virtual_config(), turns=[Turn(servo, 0.05, 0.1, 0.1)])
     (finding,) = check.findings(TAG, None)
-    assert "GOAL_VELOCITY" in finding.problem
+    assert "the unit or scale in which the bus sends speeds" in finding.problem
+    assert "GOAL_VELOCITY" in finding.cure
     check.turns[:] = [Turn(servo, 0.1, -0.1, 0.1)]
     (finding,) = check.findings(TAG, None)
-    assert "PRESENT_VELOCITY has another sign" in finding.problem
+    assert "got -1 times that: the sign in which the bus reads speeds" in finding.problem
 
 
 def test_a_target_that_no_eye_sees_offers_to_go_without_the_check():
@@ -181,7 +182,7 @@ def test_speeds_of_half_the_unit_are_refused_before_a_trial(monkeypatch):
     robot = robot_before_a_target(monkeypatch)
     robot.plant.prepare()
     robot.fault(what="speed-scale", ids=[2], value=0.5)
-    with pytest.raises(ChecksFailedError, match=r"left_tilt: .*got 0\.\d+ times that: PRESENT"):
+    with pytest.raises(ChecksFailedError, match=r"left_tilt: .*got 0\.\d+ times that: the unit"):
         robot.begin()
 
 

@@ -9,17 +9,16 @@ move: it shows in lines of sight that miss each other, or in a distance that the
 contradicts.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, product
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from vergence.envs.reading import Image
-from vergence.envs.streams import IntArray
 from vergence.errors import Finding
 from vergence.hardware.approach import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedError, drive_to
 from vergence.hardware.config import HardwareConfig
@@ -64,7 +63,6 @@ _REFUSED_ZERO_RAD: Final = 0.12
 """Error of a zero above which the head must not move; below it is told, rad (chosen)."""
 
 
-_FLIP_CURE: Final = "turn the camera, or switch its flip off"
 _VIEW_CURE: Final = (
     "put it about 1 m ahead of the head at rest, in good light, in view of both eyes; to move "
     "without this check: --no-view-check"
@@ -73,6 +71,7 @@ _POINT_CURE: Final = (
     "name another pixel, of something with texture at least 0.5 m away that both eyes see; to move "
     "without this check: --no-view-check"
 )
+_FLIP_CURE: Final = "turn the camera, or switch its flip off"
 
 
 class Posture(NamedTuple):
@@ -99,12 +98,11 @@ class Turn(NamedTuple):
 
 
 class _Explanation(NamedTuple):
-    """A mistake that may explain the images."""
+    """A mistake that may explain the images, and what it makes of angles and pixels."""
 
-    part: str
-    problem: str
-    cure: str
-    angles: Callable[[FloatArray], FloatArray] = lambda angles: angles
+    finding: Finding
+    turns: FloatArray = np.eye(7)
+    """(7, 7) true angles by reported ones."""
     pixels: Callable[[FloatArray], FloatArray] = lambda pixels: pixels
 
 
@@ -128,13 +126,7 @@ def compile_view_check(config: HardwareConfig) -> None:
 
 
 def range_by_size(head: HeadModel, eye: int, found: BoardDetection | Detection) -> float:
-    """Distance of a detected target by its size, m; nan if that is unknown.
-
-    Args:
-        head: the model of the head.
-        eye: the eye that sees it, 0 for left.
-        found: its detection.
-    """
+    """Distance of a target that an eye, 0 for left, detected, by its size, m; nan if unknown."""
     if not isinstance(found, BoardDetection) or not found.target.size_known:
         return float("nan")
     raw = np.repeat(found.corners_px[:, np.newaxis], 2, axis=1)
@@ -159,12 +151,9 @@ def turn_each_joint(
     Args:
         config: the robot.
         angles: present angles of the servos; `send_velocities` updates them.
-        send_velocities: see `vergence.hardware.approach.drive_to`.
+        send_velocities: see `vergence.hardware.approach.drive_to`, which it is for.
         last_sent: returns the (7,) velocities that it sent last, rad/s.
         look: returns `pixels` and `ranges_m` of a `Posture` from images after a time, s.
-
-    Raises:
-        HardwareError: see `send_velocities`.
     """
     check = ViewCheck(config)
     rows: list[tuple[float, FloatArray, FloatArray]] = []
@@ -174,8 +163,10 @@ def turn_each_joint(
         rows.append((now_s, last_sent().copy(), angles.speeds.copy()))
         return now_s
 
-    rested_s = send(np.zeros(7))
-    check.postures.append(Posture(angles.angles.copy(), *look(rested_s)))
+    def keep(rested_s: float) -> None:
+        check.postures.append(Posture(angles.angles.copy(), *look(rested_s)))
+
+    keep(send(np.zeros(7)))
     goal, middle = angles.angles.copy(), 0.5 * (angles.lower + angles.upper)
     period_s = config.head.timing.period_s
 
@@ -193,7 +184,7 @@ def turn_each_joint(
         commanded_rad, reported_rad = (passed_s @ speeds).tolist()
         moved_rad = float(angles.angles[slot]) - before
         check.turns.append(Turn(servo, commanded_rad, reported_rad, moved_rad))
-        check.postures.append(Posture(angles.angles.copy(), *look(rested_s)))
+        keep(rested_s)
 
     for servo in config.servos:
         turn(servo)
@@ -207,7 +198,6 @@ class ViewCheck:
     """Postures and turns of single joints, and the judgement of them."""
 
     config: HardwareConfig
-    """The robot."""
     postures: list[Posture] = field(default_factory=list)
     """Postures, each reached from the one before by the turn of one joint."""
     turns: list[Turn] = field(default_factory=list)
@@ -241,42 +231,28 @@ class ViewCheck:
         """Findings of eyes that have never seen the target."""
         seen = np.array([np.isfinite(posture.pixels).all(axis=-1) for posture in self.postures])
         found, blind = [], np.flatnonzero(~seen.any(axis=0)).tolist()
+        parts = [camera.name for camera in self.config.cameras]
         for eye in blind:
             if images is None or not isinstance(target, PlanarTarget | TagFamily):
                 continue
             detector = make_detector(target, Camera.of(self.config.head, eye))
             if detector.detect(images[eye][:, ::-1].copy()) is not None:
                 problem = f"expected images as the eye sees {target}, got mirrored ones"
-                found.append(Finding(part=self._camera(eye), problem=problem, cure=_FLIP_CURE))
-        cure = _POINT_CURE if isinstance(target, PointTarget) else _VIEW_CURE
-        if not found and not seen.any():
-            return [
-                Finding(
-                    part="view",
-                    problem=f"expected {target} in view of the head at the start, got images "
-                    "without it from both cameras" + (remark and f" ({remark})"),
-                    cure=cure,
-                )
-            ]
-        if not found and blind:
-            eye = blind[0]
-            why = (
-                f" ({remark})" if remark
-                else f", so the zeros of the {EYE_NAMES[eye]} eye's joints are off by far, or "
+                found.append(_finding(parts[eye], problem, _FLIP_CURE))
+        if found or not blind:
+            return found
+        part, eye = "view", blind[0]
+        why = f" ({remark})" if remark else ""
+        problem = "of the head at the start, got images without it from both cameras"
+        if seen.any():
+            part, other = parts[eye], EYE_NAMES[1 - eye]
+            problem = f"of both eyes at the start, got images without it: the {other} eye sees it"
+            why = why or (
+                f", so the zeros of the {EYE_NAMES[eye]} eye's joints are off by far, or "
                 "something hides it"
-            )  # fmt: skip
-            found.append(
-                Finding(
-                    part=self._camera(eye),
-                    problem=f"expected {target} in view of both eyes at the start, got images "
-                    f"without it: the {EYE_NAMES[1 - eye]} eye sees it{why}",
-                    cure=cure,
-                )
             )
-        return found
-
-    def _camera(self, eye: int) -> str:
-        return self.config.cameras[eye].name
+        cure = _POINT_CURE if isinstance(target, PointTarget) else _VIEW_CURE
+        return [_finding(part, f"expected {target} in view {problem}{why}", cure)]
 
     def _cost(self, angles: FloatArray, pixels: FloatArray) -> tuple[float, bool]:
         """Sum of squared errors of the pixels' motion, and True if each is accepted."""
@@ -299,21 +275,21 @@ class ViewCheck:
     def _explained(self, angles: FloatArray, pixels: FloatArray) -> Finding:
         nominal, _ = self._cost(angles, pixels)
         costs = [
-            (*self._cost(one.angles(angles), one.pixels(pixels)), one)
+            (*self._cost(angles @ one.turns, one.pixels(pixels)), one.finding)
             for one in _explanations(self.config)
         ]
         able = sorted((one for one in costs if one[1] and one[0] < nominal), key=lambda one: one[0])
         if not able:
-            return Finding(
-                part="view",
-                problem="expected the target's image to move as the head file has it while each "
-                f"joint turned, got {self._motions(angles, pixels)}; no single mistake explains it",
-                cure="compare signs, ids, cameras and the head file, one joint at a time with "
+            return _finding(
+                "view",
+                "expected the target's image to move as the head file has it while each joint "
+                f"turned, got {self._motions(angles, pixels)}; no single mistake explains it",
+                "compare signs, ids, cameras and the head file, one joint at a time with "
                 "`vergence jog`",
             )
         first, *others = [one[2] for one in able if one[0] <= _EQUAL_COST * able[0][0] + 20.0]
         also = "".join(f", or {one.part}: {one.problem}" for one in others[:2])
-        return Finding(part=first.part, problem=first.problem + also, cure=first.cure)
+        return _finding(first.part, first.problem + also, first.cure)
 
     def _motions(self, angles: FloatArray, pixels: FloatArray) -> str:
         """Measured and expected motion of the target's image at each turn."""
@@ -329,37 +305,26 @@ class ViewCheck:
 
     def _zeros(self) -> list[Finding]:
         """Findings of lines of sight that miss each other, or of a size that contradicts them."""
-        posture = next(
-            (one for one in self.postures if np.isfinite(one.pixels).all()), self.postures[0]
-        )
-        if not np.isfinite(posture.pixels).all():
-            return []
+        seen = [one for one in self.postures if np.isfinite(one.pixels).all()]
         head, eyes = self.config.head, [one for one in self.config.servos if one.slot >= NECK.stop]
-        chi2, _ = _fit_zero(head, posture, None)
-        if chi2 <= _MAX_CHI2:
+        if not seen or _fit_zero(head, seen[0], None)[0] <= _MAX_CHI2:
             return []
-        fits = [(*_fit_zero(head, posture, servo.slot), servo.name) for servo in eyes]
+        fits = [(*_fit_zero(head, seen[0], servo.slot), servo.name) for servo in eyes]
         able = sorted((one for one in fits if one[0] <= _MAX_CHI2), key=lambda one: abs(one[1]))
+        expected = "expected lines of sight that meet at the target"
         if not able:
-            return [
-                Finding(
-                    part="view",
-                    problem="expected lines of sight that meet at the target, got eyes that see it "
-                    "apart, which no single zero explains",
-                    cure="set the zeros with `vergence jog`, and check the head file",
-                )
-            ]
-        names = " or ".join(name for _, _, name in able[:2])
-        off = able[0][1]
-        return [
-            Finding(
-                part=f"servos: {names}",
-                problem="expected lines of sight that meet at the target, at the distance of its "
-                f"size, got a zero (zero_ticks) that is off by about {abs(off):.2f} rad",
-                cure="set it with `vergence jog`: zero, or calibrate the head",
-                warning=abs(off) < _REFUSED_ZERO_RAD,
-            )
-        ]
+            problem = f"{expected}, got eyes that see it apart, which no single zero explains"
+            cure = "set the zeros with `vergence jog`, and check the head file"
+            return [_finding("view", problem, cure)]
+        part = f"servos: {' or '.join(name for _, _, name in able[:2])}"
+        off_rad = abs(able[0][1])
+        problem = (
+            f"{expected}, at the distance of its size, got a zero (zero_ticks) that is off by "
+            f"about {off_rad:.2f} rad"
+        )
+        cure = "set it with `vergence jog`: zero, or calibrate the head"
+        told = off_rad < _REFUSED_ZERO_RAD
+        return [Finding(part=part, problem=problem, cure=cure, warning=told)]
 
 
 def _px(moved: FloatArray) -> str:
@@ -419,108 +384,92 @@ def _speeds(turn: Turn) -> Iterator[Finding]:
     part = f"servos: {turn.servo.name}"
     goal = turn.moved_rad / turn.commanded_rad if turn.commanded_rad else 1.0
     if not least <= goal <= most:
-        yield Finding(
-            part=part,
-            problem=f"expected the joint to turn as far as it was told, got {goal:.2g} times that: "
-            "GOAL_VELOCITY has another scale or unit than an X series servo's",
-            cure="compare the unit of GOAL_VELOCITY in the servo's manual with 0.229 rev/min",
+        yield _finding(
+            part,
+            f"expected the joint to turn as far as it was told, got {goal:.2g} times that: the "
+            "unit or scale in which the bus sends speeds",
+            "compare it with the servo's manual (Dynamixel: GOAL_VELOCITY in 0.229 rev/min)",
         )
     told = turn.reported_rad / turn.moved_rad if turn.moved_rad else 1.0
     if not least <= told <= most:
-        yield Finding(
-            part=part,
-            problem="expected speeds that the change of its angle confirms, got "
-            f"{told:.2g} times that: PRESENT_VELOCITY has another "
-            f"{'sign' if told < 0.0 else 'scale or unit'} than an X series servo's",
-            cure="compare the unit of PRESENT_VELOCITY in the servo's manual with 0.229 rev/min",
+        yield _finding(
+            part,
+            f"expected speeds that the change of its angle confirms, got {told:.2g} times that: "
+            f"the {'sign' if told < 0.0 else 'unit or scale'} in which the bus reads speeds",
+            "compare it with the servo's manual (Dynamixel: PRESENT_VELOCITY in 0.229 rev/min)",
         )
+
+
+def _finding(part: str, problem: str, cure: str) -> Finding:
+    return Finding(part=part, problem=problem, cure=cure)
 
 
 def _explanations(config: HardwareConfig) -> Iterator[_Explanation]:
     """Mistakes of a configuration, the likelier ones first."""
     yield _Explanation(
-        "cameras",
-        "expected the left eye's images from cameras.left, got those of the right eye: the cameras "
-        "are exchanged",
-        "exchange source of [cameras.left] and [cameras.right]",
+        _finding(
+            "cameras",
+            "expected the left eye's images from cameras.left, got those of the right eye: the "
+            "cameras are exchanged",
+            "exchange source of [cameras.left] and [cameras.right]",
+        ),
         pixels=lambda pixels: pixels[:, ::-1],
     )
     for servo in config.servos:
-        yield _Explanation(
-            f"servos: {servo.name}",
+        problem = (
             "expected a joint that turns the eye as the head file has it, got one that turns it "
-            "the other way: its sign is wrong",
-            f"sign = {-servo.sign} (`vergence jog`: flip)",
-            angles=_scaled(servo.slot, -1.0),
+            "the other way: its sign is wrong"
         )
+        cure = f"sign = {-servo.sign} (`vergence jog`: flip)"
+        yield _Explanation(_finding(f"servos: {servo.name}", problem, cure), _scaled(servo, -1.0))
     for one, other in combinations(config.servos, 2):
-        yield _Explanation(
-            f"servos: {one.name}, {other.name}",
+        problem = (
             f"expected the id {one.id} to move {one.name} and {other.id} {other.name}, got the "
-            "reverse: their ids are exchanged",
-            "exchange their ids in the configuration",
-            angles=_exchanged(one.slot, other.slot),
+            "reverse: their ids are exchanged"
         )
-    sizes = config.head.cameras.size
-    for eyes in ((0, 1), (0,), (1,)):
-        names = " and ".join(f"cameras.{EYE_NAMES[eye]}" for eye in eyes)
-        ways: dict[str, tuple[int, ...]] = {"upside down": (0, 1)}
-        if not isinstance(config.target, AprilTag | TagFamily):  # unreadable if mirrored
-            ways["mirrored"] = (0,)
-        for what, sides in ways.items():
-            yield _Explanation(
-                names,
-                f"expected images as the eye sees them, got {what} ones",
-                _FLIP_CURE,
-                pixels=_turned(sizes, eyes, sides),
-            )
-    for servo in config.servos:
-        for scale in _SCALES:
-            yield _Explanation(
-                f"servos: {servo.name}",
-                f"expected a joint that turns the eye by the angle of its encoder, got about "
-                f"{scale:.2g} times that: its gear_ratio, or the encoder's scale",
-                f"gear_ratio = {servo.gear_ratio / scale:.3g}, turns of the servo per turn of the "
-                "joint",
-                angles=_scaled(servo.slot, scale),
-            )
-    for eye, name in enumerate(EYE_NAMES):
-        for scale in _SCALES:
-            yield _Explanation(
-                f"cameras.{name}",
-                f"expected the head file's focal length, got about {scale:.2g} times that",
-                "calibrate the camera, and check size and zoom",
-                pixels=_zoomed(config.head, eye, scale),
-            )
+        order = np.arange(7)
+        order[[one.slot, other.slot]] = other.slot, one.slot
+        cure = "exchange their ids in the configuration"
+        part = f"servos: {one.name}, {other.name}"
+        yield _Explanation(_finding(part, problem, cure), np.eye(7)[order])
+    centres = 0.5 * (np.array(config.head.cameras.size, dtype=np.float64) - 1.0)
+    ways = {"upside down": (-1.0, -1.0)}
+    if not isinstance(config.target, AprilTag | TagFamily):  # unreadable if mirrored
+        ways["mirrored"] = (-1.0, 1.0)
+    for eyes, (what, scales) in product(([0, 1], [0], [1]), ways.items()):
+        part = " and ".join(f"cameras.{EYE_NAMES[eye]}" for eye in eyes)
+        problem = f"expected images as the eye sees them, got {what} ones"
+        pixels = _about(centres, eyes, scales)
+        yield _Explanation(_finding(part, problem, _FLIP_CURE), pixels=pixels)
+    for servo, scale in product(config.servos, _SCALES):
+        problem = (
+            f"expected a joint that turns the eye by the angle of its encoder, got about "
+            f"{scale:.2g} times that: its gear_ratio, or the encoder's scale"
+        )
+        ratio = f"{servo.gear_ratio / scale:.3g}"
+        cure = f"gear_ratio = {ratio}, turns of the servo per turn of the joint"
+        yield _Explanation(_finding(f"servos: {servo.name}", problem, cure), _scaled(servo, scale))
+    for (eye, name), scale in product(enumerate(EYE_NAMES), _SCALES):
+        problem = f"expected the head file's focal length, got about {scale:.2g} times that"
+        finding = _finding(
+            f"cameras.{name}", problem, "calibrate the camera, and check size and zoom"
+        )
+        pixels = _about(config.head.cameras.principal, [eye], 1.0 / scale)
+        yield _Explanation(finding, pixels=pixels)
 
 
-def _scaled(slot: int, scale: float) -> Callable[[FloatArray], FloatArray]:
-    return lambda angles: np.where(np.arange(7) == slot, scale * angles, angles)
+def _scaled(servo: ServoConfig, scale: float) -> FloatArray:
+    return np.diag(np.where(np.arange(7) == servo.slot, scale, 1.0))
 
 
-def _exchanged(one: int, other: int) -> Callable[[FloatArray], FloatArray]:
-    order = np.arange(7)
-    order[[one, other]] = other, one
-    return lambda angles: angles[:, order]
-
-
-def _turned(
-    sizes: IntArray, eyes: Sequence[int], sides: Sequence[int]
+def _about(
+    centres: FloatArray, eyes: list[int], scale: float | tuple[float, float]
 ) -> Callable[[FloatArray], FloatArray]:
-    def turned(pixels: FloatArray) -> FloatArray:
+    """Scaling of the pixels of some eyes about a point of each."""
+
+    def scaled(pixels: FloatArray) -> FloatArray:
         found = pixels.copy()
-        for eye in eyes:
-            for side in sides:
-                found[:, eye, side] = sizes[eye, side] - 1 - found[:, eye, side]
+        found[:, eyes] = centres[eyes] + (found[:, eyes] - centres[eyes]) * np.asarray(scale)
         return found
 
-    return turned
-
-
-def _zoomed(head: HeadModel, eye: int, scale: float) -> Callable[[FloatArray], FloatArray]:
-    def zoomed(pixels: FloatArray) -> FloatArray:
-        found, centre = pixels.copy(), head.cameras.principal[eye]
-        found[:, eye] = centre + (found[:, eye] - centre) / scale
-        return found
-
-    return zoomed
+    return scaled

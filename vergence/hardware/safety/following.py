@@ -14,7 +14,7 @@ although no command of the last 0.15 s asks for it.
 """
 
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -47,21 +47,11 @@ _MOST_PAUSE_S: Final = 0.1
 stopped the joints, the comparison begins anew (chosen)."""
 
 
-class _Window(NamedTuple):
-    """Window over which motion and commands are compared."""
-
-    length_s: float
-    every_s: float
-    """Least time between two rows that are kept, s."""
-    least_rad: float
-    """Least tolerance, rad: backlash, elastic gears, sagging arms."""
-
-
-_WINDOWS: Final = (_Window(0.5, 0.0, 0.1), _Window(4.0, 0.03, 0.2))
-"""Windows of the test (chosen). The short one detects a joint that does not follow commands of
-0.3 rad/s; the long one those of 0.1 rad/s, or of 0.03 rad/s if the joint does not move at all."""
-
-
+_WINDOWS: Final = ((0.5, 0.0, 0.1), (4.0, 0.03, 0.2))
+"""Windows over which motion and commands are compared: length, s, least time between two rows, s,
+and least tolerance, rad, for backlash, elastic gears and sagging arms (chosen). The short one
+detects a joint that does not follow commands of 0.3 rad/s; the long one those of 0.1 rad/s, or of
+0.03 rad/s if the joint does not move at all."""
 _LATE_S: Final = (0.0, 0.035, 0.07)
 """Delays of a joint beyond its model that the quick test accepts, s (chosen)."""
 _STILL_WINDOWS: Final = ((0.035, 0.12), (0.06, 0.06), (0.2, 0.05), (0.5, 0.05))
@@ -99,18 +89,17 @@ class FollowingMonitor:
         self._acceleration = np.clip(actuation.acceleration, 1.0, None)
         ramp_s = max_speed / self._acceleration
         late_s = _MAX_DELAY_LAGS * timing.lag_s * actuation.lag_ratio + ramp_s
-        delay_s = float(late_s.max()) + timing.command_latency_s + _EXTRA_DELAY_S
-        self._delay_s = delay_s
-        self._begin()
+        self._delay_s = float(late_s.max()) + timing.command_latency_s + _EXTRA_DELAY_S
         self.proved_joints = np.zeros(7, dtype=np.bool_)
+        self._begin()
 
     def _begin(self) -> None:
         self._comparisons = [
-            _Comparison(window, self._delay_s, self._acceleration) for window in _WINDOWS
+            _Comparison(*window, self._delay_s, self._acceleration) for window in _WINDOWS
         ]
         self._quick = _QuickTests(self._period_s)
         self._sum, self._expected = np.zeros(7), np.zeros(7)
-        self._last_s = np.nan
+        self._last_s: float | None = None
 
     def update(
         self,
@@ -133,10 +122,10 @@ class FollowingMonitor:
             (7,) error of each joint's motion beyond the range of all delays and the tolerance, rad;
             0 or less for a joint that follows.
         """
-        passed_s = now_s - self._last_s
+        passed_s = 0.0 if self._last_s is None else now_s - self._last_s
         if passed_s > max(_MOST_PAUSE_S, 3.0 * self._period_s):
             self._begin()
-        elif not np.isnan(passed_s):
+        else:
             self._sum = self._sum + command * passed_s
             self._expected = self._expected + expected * passed_s
         self._last_s = now_s
@@ -177,32 +166,28 @@ class _QuickTests:
         self._rows: deque[FloatArray] = deque()  # time, and four times seven values
         self._begun_s = np.nan
 
-    def update(
-        self,
-        now_s: float,
-        total: FloatArray,
-        expected: FloatArray,
-        angles: FloatArray,
-        command: FloatArray,
-    ) -> FloatArray:
-        """See `FollowingMonitor.update`; `total` and `expected` are integrals, (7,) rad."""
+    def update(self, now_s: float, *values: FloatArray) -> FloatArray:
+        """See `FollowingMonitor.update`.
+
+        Values are the integrals of commands and expected velocities, angles, and commands, (7,).
+        """
         rows = self._rows
+        row = np.concatenate(((now_s,), *values))
         if not rows:  # nothing was demanded before
             before_s = now_s - self._kept_s - _STILL_WINDOWS[-1][0]
-            rows.append(np.concatenate(((before_s,), total, expected, angles, 0.0 * command)))
+            rows.append(np.concatenate(((before_s,), row[1:22], np.zeros(7))))
             self._begun_s = now_s
-        rows.append(np.concatenate(((now_s,), total, expected, angles, command)))
+        rows.append(row)
         while rows[1][0] <= now_s - self._kept_s:
             rows.popleft()
         off = np.full(7, -np.inf)
         table = np.array(rows)
         times, turned = table[:, 0], table[:, 15:22]
-        late, lengths = np.array(_LATE_S), np.array([length_s for length_s, _ in _STILL_WINDOWS])
-        begins = now_s - np.add.outer(np.append(0.0, lengths), late)
-        values = _at(times, table[:, 1:15], begins.ravel()).reshape(*begins.shape, 14)
+        begins = now_s - np.add.outer([0.0, *(one[0] for one in _STILL_WINDOWS)], _LATE_S)
+        past = _at(times, table[:, 1:15], begins.ravel()).reshape(*begins.shape, 14)
         for place, (length_s, least_rad) in enumerate(_STILL_WINDOWS, 1):
-            models = values[0, :, 7:] - values[place, :, 7:]
-            demands = np.vstack([models, total - values[place, 0, :7]])
+            models = past[0, :, 7:] - past[place, :, 7:]
+            demands = np.vstack([models, row[1:8] - past[place, 0, :7]])
             demanded = np.maximum(demands.min(axis=0), -demands.max(axis=0))
             still = np.ptp(turned[times >= now_s - length_s], axis=0) < _STILL_RAD
             off = np.where(still, np.maximum(off, demanded - least_rad), off)
@@ -214,16 +199,10 @@ class _QuickTests:
 def runaway(
     now_s: float, times: FloatArray, turned: FloatArray, commands: FloatArray
 ) -> FloatArray:
-    """Motion of speeds that grow without a command, beyond what is accepted.
+    """(n,) motion of speeds that grow without a command, beyond what is accepted, rad.
 
-    Args:
-        now_s: present time, s.
-        times: (k,) times of the last readings, s.
-        turned: (k, n) angles, rad.
-        commands: (k, n) commands that were sent before each, rad/s.
-
-    Returns:
-        (n,) motion, rad; 0 or less for joints without.
+    It is computed from the times of the last readings, (k,) s, the angles, (k, n) rad, and the
+    commands before each, (k, n) rad/s; 0 or less for joints without.
     """
     ends = now_s - _RUNAWAY_WINDOW_S * np.array([0.0, 1.0, 2.0])
     if len(times) < 2 or times[0] > ends[-1]:
@@ -240,61 +219,54 @@ def runaway(
 
 
 class _Comparison:
-    """Comparison of motion and commands over one window.
+    """Comparison of motion and commands over one window; `last` has both, without delay, rad."""
 
-    Attributes:
-        last: (7,) commanded motion in the last window, without delay, and (7,) measured one, rad.
-    """
-
-    def __init__(self, window: _Window, delay_s: float, acceleration: FloatArray) -> None:
-        self._window, self._delay_s, self._acceleration = window, delay_s, acceleration
+    def __init__(
+        self,
+        length_s: float,
+        every_s: float,
+        least_rad: float,
+        delay_s: float,
+        acceleration: FloatArray,
+    ) -> None:
+        self._length_s, self._every_s, self._least_rad = length_s, every_s, least_rad
+        self._delay_s, self._acceleration = delay_s, acceleration
         self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self.last = np.zeros(7), np.zeros(7)
 
     def update(self, now_s: float, total: FloatArray, angles: FloatArray) -> FloatArray:
         """See `FollowingMonitor.update`; `total` is C, the integral of the commands, (7,) rad."""
-        length_s, rows = self._window.length_s, self._rows
-        oldest_s = now_s - length_s - self._delay_s
+        rows, begin_s = self._rows, now_s - self._delay_s
+        oldest_s = now_s - self._length_s - self._delay_s
         if not rows:
             rows.append((oldest_s, total, angles.copy()))
-        if now_s - rows[-1][0] < self._window.every_s:
+        if now_s - rows[-1][0] < self._every_s:
             return np.full(7, -np.inf)
         rows.append((now_s, total, angles.copy()))
         # the last row before the oldest time stays, for the interpolation
         while rows[1][0] <= oldest_s:
             rows.popleft()
-        times = np.array([row[0] for row in rows])
-        totals = np.array([row[1] for row in rows])
-        delayed = times[times >= now_s - self._delay_s]
-        commanded = _at(times, totals, delayed) - _at(times, totals, delayed - length_s)
-        turned = np.array([row[2] for row in rows])
-        moved = angles - _at(times, turned, np.array([now_s - length_s]))[0]
+        times, totals, turned = map(np.array, zip(*rows, strict=True))
+        delayed = times[times >= begin_s]
+        commanded = _at(times, totals, delayed) - _at(times, totals, delayed - self._length_s)
+        moved = angles - _at(times, turned, np.array([now_s - self._length_s]))[0]
         least, greatest = commanded.min(axis=0), commanded.max(axis=0)
         # at each change of its command a joint with less acceleration coasts on, by v^2 / (2 a)
         passed_s = np.maximum(np.diff(times), _MIN_INTERVAL_S)[:, np.newaxis]
         speeds = np.diff(totals, axis=0) / passed_s
         changes = np.abs(np.diff(speeds * np.abs(speeds), axis=0, prepend=0.0, append=0.0))
         coast = 0.25 * changes.sum(axis=0) / (_LEAST_ACCELERATION_RATIO * self._acceleration)
-        spare = self._window.least_rad + _MOTION_TOLERANCE * np.ptp(totals, axis=0) + coast
+        spare = self._least_rad + _MOTION_TOLERANCE * np.ptp(totals, axis=0) + coast
         self.last = commanded[-1], moved
         off = np.maximum(least - moved, moved - greatest) - spare
-        return np.asarray(np.maximum(off, self._stillness(now_s, times, totals, turned)))
-
-    def _stillness(
-        self, now_s: float, times: FloatArray, totals: FloatArray, turned: FloatArray
-    ) -> FloatArray:
-        """(7,) required minus measured range of each joint's motion, rad; -inf if not tested."""
-        begin_s = now_s - self._delay_s - _RANGE_WINDOW_FRACTION * self._window.length_s
-        angles = turned[times >= begin_s]
-        commanded = totals[(times >= begin_s) & (times <= now_s - self._delay_s)]
-        if len(commanded) == 0:
-            return np.full(7, -np.inf)
-        wanted = np.ptp(commanded, axis=0)
-        return np.where(
-            wanted > _MIN_TESTED_RANGE_RAD,
-            _MIN_RANGE_RATIO * wanted - np.ptp(angles, axis=0),
-            -np.inf,
-        )
+        # the range of the motion, at most the delay later than that of C
+        range_s = begin_s - _RANGE_WINDOW_FRACTION * self._length_s
+        tested = totals[(times >= range_s) & (times <= begin_s)]
+        if len(tested):
+            wanted = np.ptp(tested, axis=0)
+            still = _MIN_RANGE_RATIO * wanted - np.ptp(turned[times >= range_s], axis=0)
+            off = np.where(wanted > _MIN_TESTED_RANGE_RAD, np.maximum(off, still), off)
+        return np.asarray(off)
 
 
 def _at(times: FloatArray, values: FloatArray, when: FloatArray) -> FloatArray:

@@ -17,49 +17,37 @@ towards a bound are counted: a linear joint goes no farther.
 Of a forbidden posture at least one angle is kept outside its range: the angle with the most room
 brakes before the end of its range as before a limit.
 
-Bounds of the robot's owner are the `[safety]` section of a hardware configuration:
-
-    [safety]
-    speed_rad_s = 3.0               # of every joint; by default the head's own
-    acceleration_rad_s2 = 40.0
-    image_age_s = 0.5               # stop after this time without an image
-    lost_s = 0.5                    # hold after this time without the target
-    search = true                   # then search for it slowly
-    overruns = 0.3                  # stop if a greater fraction of 2 s is missed
-    view_check = true               # before the first gaze, see `vergence.hardware.view_check`
-
-    [[safety.forbidden]]            # an eye that would touch the head
-    name = "left eye at the frame"
-    left_pan = [0.9, 1.2]
-    left_tilt = [-1.2, -0.4]
-
-A posture is forbidden only where all of its angles are in their ranges.
+Bounds of the robot's owner are the `[safety]` section of a hardware configuration, see
+docs/robot.md.
 """
 
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, inf
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from vergence.errors import HeadFileError
 from vergence.models.head import HeadModel
 from vergence.models.motion import follow_joint
 from vergence.models.parts import FloatArray
 from vergence.models.toml_table import Rule, Table
 
-_SPEED_RULE: Final[Rule] = (lambda x: 0.05 <= x <= 100.0, "rad/s, 0.05 to 100 (is it in degrees?)")
-_ACCELERATION_RULE: Final[Rule] = (
-    lambda x: 0.1 <= x <= 1e4,
-    "rad/s^2, 0.1 to 10000 (is it in degrees?)",
-)
-_SECONDS_RULE: Final[Rule] = (
+_SECONDS: Final[Rule] = (
     lambda x: 0.05 <= x <= 60.0,
     "seconds, 0.05 to 60 (is it in milliseconds?)",
 )
-_SHARE_RULE: Final[Rule] = (lambda x: 0.0 < x <= 1.0, "a share of the periods, above 0 to 1")
+_RULES: Final[dict[str, Rule]] = {
+    "speed_rad_s": (lambda x: 0.05 <= x <= 100.0, "rad/s, 0.05 to 100 (is it in degrees?)"),
+    "acceleration_rad_s2": (
+        lambda x: 0.1 <= x <= 1e4,
+        "rad/s^2, 0.1 to 10000 (is it in degrees?)",
+    ),
+    "image_age_s": _SECONDS,
+    "lost_s": _SECONDS,
+    "overruns": (lambda x: 0.0 < x <= 1.0, "a share of the periods, above 0 to 1"),
+}
 _ANGLE_RULE: Final[Rule] = (lambda x: -10.0 <= x <= 10.0, "an angle, rad (is it in degrees?)")
 
 
@@ -82,12 +70,7 @@ class ForbiddenPosture:
         return bool(((own >= self.lower) & (own <= self.upper)).all())
 
     def refusal(self, angles: FloatArray, names: Mapping[str, int]) -> str:
-        """Error message for a posture that is forbidden.
-
-        Args:
-            angles: (7,) the posture, rad.
-            names: indices into it by name of joint or actuator.
-        """
+        """Error message for a forbidden posture, (7,) rad, with the slots of joints by name."""
         own = ", ".join(
             f"{name} {angles[slot]:.3f} rad" for name, slot in names.items() if slot in self.slots
         )
@@ -117,31 +100,18 @@ class SafetyConfig:
 
 
 def parse_safety(table: Table, slots: Mapping[str, int]) -> SafetyConfig:
-    """Read the `[safety]` section.
-
-    Args:
-        table: the section.
-        slots: indices into the 7-element command by name of joint or actuator.
+    """Read the `[safety]` section; `slots` are indices into the 7-element command by name.
 
     Raises:
         HeadFileError: a key is unknown or impossible.
     """
     values: dict[str, float] = {
-        name: table.number(name, rule)
-        for name, rule in (
-            ("speed_rad_s", _SPEED_RULE),
-            ("acceleration_rad_s2", _ACCELERATION_RULE),
-            ("image_age_s", _SECONDS_RULE),
-            ("lost_s", _SECONDS_RULE),
-            ("overruns", _SHARE_RULE),
-        )
-        if table.has(name)
+        name: table.number(name, rule) for name, rule in _RULES.items() if table.has(name)
     }
     search = table.boolean("search")
     view_check = not table.has("view_check") or table.boolean("view_check")
-    forbidden: tuple[ForbiddenPosture, ...] = ()
-    if table.has("forbidden"):
-        forbidden = tuple(_forbidden(one, slots) for one in table.tables("forbidden"))
+    tables = table.tables("forbidden") if table.has("forbidden") else []
+    forbidden = tuple(_forbidden(one, slots) for one in tables)
     table.close()
     return SafetyConfig(search=search, view_check=view_check, forbidden=forbidden, **values)
 
@@ -151,14 +121,10 @@ def _forbidden(table: Table, slots: Mapping[str, int]) -> ForbiddenPosture:
     ranges: dict[int, FloatArray] = {}
     for joint, slot in slots.items():
         if table.has(joint):
-            ends = table.numbers(joint, (2,), _ANGLE_RULE)
-            if not ends[0] < ends[1]:
-                raise HeadFileError(
-                    table.key(joint), ends.tolist(), "a lower and a greater angle, rad"
-                )
-            ranges[slot] = ends
-    if not ranges:
-        raise HeadFileError(table.key("name"), name, f"a range of {', '.join(slots)} beside it")
+            ranges[slot] = ends = table.numbers(joint, (2,), _ANGLE_RULE)
+            expected = "a lower and a greater angle, rad"
+            table.expect(ends[0] < ends[1], joint, ends.tolist(), expected)
+    table.expect(ranges, "name", name, f"a range of {', '.join(slots)} beside it")
     table.close()
     lower, upper = np.array(list(ranges.values())).T
     return ForbiddenPosture(name=name, slots=tuple(ranges), lower=lower, upper=upper)
@@ -189,13 +155,8 @@ _ROUNDING_TOLERANCE: Final = 1e-9
 _follow = getattr(follow_joint, "py_func", follow_joint)
 
 
-class _Reach(NamedTuple):
-    """State of the joints towards one side when the next command begins to act."""
-
-    unavoidable: FloatArray
-    """(7,) motion that is unavoidable: coasting, and commands in transit, rad."""
-    speed: FloatArray
-    """(7,) speed when the next command begins to act, rad/s."""
+_SIDES: Final = np.array([[1.0], [-1.0]])
+"""Signs of the motion up and down: arrays of shape (2, 7) are for both, each towards its side."""
 
 
 class JointMotionLimiter:
@@ -225,66 +186,49 @@ class JointMotionLimiter:
         last_s: float = 0.0,
     ) -> None:
         actuation, timing = head.actuation, head.timing
-        self._period_s = timing.period_s
-        self._lower, self._upper = lower + _LIMIT_MARGIN_RAD, upper - _LIMIT_MARGIN_RAD
+        self._period_s = period_s = timing.period_s
+        self._ends = np.stack([upper - _LIMIT_MARGIN_RAD, -(lower + _LIMIT_MARGIN_RAD)])
         self._forbidden = config.forbidden
         self.max_speed = np.minimum(actuation.velocity, config.speed_rad_s)
         own = np.clip(actuation.acceleration, _MIN_ACCELERATION_RAD_S2, _MAX_ACCELERATION_RAD_S2)
-        self._own_acceleration = own
         self.acceleration = np.minimum(own, config.acceleration_rad_s2)
-        self._lag_s = timing.lag_s * actuation.lag_ratio
+        lag_s = timing.lag_s * actuation.lag_ratio
         # a joint with a lag much shorter than the period still takes time to brake
-        planned_s = np.maximum(self._lag_s, _MIN_LAG_PERIODS * self._period_s)
-        self._lag_fraction = 1.0 - np.exp(-self._period_s / planned_s)
-        self._held_lag_fraction = 1.0 - np.exp(-HOLD_PERIODS * self._period_s / planned_s)
-        late = ceil(timing.command_latency_s / self._period_s - _ROUNDING_TOLERANCE)
-        self._longest_hold = max(HOLD_PERIODS, last_s / self._period_s + late)
-        self._longest_lag_fraction = 1.0 - np.exp(-self._longest_hold * self._period_s / planned_s)
-        self._planned_s = planned_s
-        self._model_lag_fraction = -np.expm1(-self._period_s / np.maximum(self._lag_s, _NO_LAG_S))
-        brake = np.minimum(
-            _BRAKE_RATIO * own, own * planned_s * self._lag_fraction / self._period_s
+        self._planned_s = planned_s = np.maximum(lag_s, _MIN_LAG_PERIODS * period_s)
+        late = ceil(timing.command_latency_s / period_s - _ROUNDING_TOLERANCE)
+        self._longest_hold = max(HOLD_PERIODS, last_s / period_s + late)
+        self._lag_fraction, self._held_lag_fraction, self._longest_lag_fraction = (
+            1.0 - np.exp(-periods * period_s / planned_s)
+            for periods in (1.0, HOLD_PERIODS, self._longest_hold)
         )
-        self._brake = np.minimum(brake, _BRAKE_COMMAND_RATIO * self.acceleration)
+        self._model_lag_fraction = -np.expm1(-period_s / np.maximum(lag_s, _NO_LAG_S))
+        brake = np.minimum(_BRAKE_RATIO * own, own * planned_s * self._lag_fraction / period_s)
+        brake = np.minimum(brake, _BRAKE_COMMAND_RATIO * self.acceleration)
+        self._brake_step = brake * period_s
         # change of the command that changes the speed at the acceleration limit for a period; a
         # joint that saturates at its own limit needs more
         self._change = np.where(
             self.acceleration < own,
-            self.acceleration * self._period_s / self._model_lag_fraction,
-            own * (self._period_s + self._lag_s),
+            self.acceleration * period_s / self._model_lag_fraction,
+            own * (period_s + lag_s),
         )
-        # a joint whose braking saturates its acceleration travels this much farther
-        harder = self._change - own * planned_s
-        self._spare = np.maximum(harder, 0.0) ** 2 / (2.0 * own)
-        self._spare *= 1 + late  # each command in transit may do so
-        self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late or None)
-        self._late = late
+        # a joint whose braking saturates its acceleration travels this much farther, in each
+        # command in transit
+        harder = np.maximum(self._change - own * planned_s, 0.0)
+        self._spare = harder**2 / (2.0 * own) * (1 + late)
+        decay = 1.0 - self._model_lag_fraction
+        self._joints = list(zip(lag_s.tolist(), own.tolist(), decay.tolist(), strict=True))
+        self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late)
         self.speed = np.zeros(7)
         self.limiting_posture = ""
 
-    def begin(self) -> None:
-        """Reset the model to joints at rest."""
-        self.speed = np.zeros(7)
-        self._sent.extend([np.zeros(7)] * self._late)
-
     def advance(self, command: FloatArray) -> None:
         """Advance the model by a period in which a command, (7,) rad/s, was sent."""
-        acts = command
-        if self._late:
-            acts = self._sent.popleft()
-            self._sent.append(command)
+        acts = self._sent[0] if self._sent else command
+        self._sent.append(command)
+        moving = zip(self.speed.tolist(), acts.tolist(), self._joints, strict=True)
         self.speed = np.array(
-            [
-                _follow(0.0, v, u, lag, a, self._period_s, left)[1]
-                for v, u, lag, a, left in zip(
-                    self.speed.tolist(),
-                    acts.tolist(),
-                    self._lag_s.tolist(),
-                    self._own_acceleration.tolist(),
-                    (1.0 - self._model_lag_fraction).tolist(),
-                    strict=True,
-                )
-            ]
+            [_follow(0.0, v, u, lag, a, self._period_s, k)[1] for v, u, (lag, a, k) in moving]
         )
 
     def limit_velocities(
@@ -306,13 +250,13 @@ class JointMotionLimiter:
             (7,) commands, the nearest safe ones, rad/s.
         """
         command = self._window(np.clip(requested, -max_speed, max_speed))
-        up, down = self._reach(measured_speeds, 1.0), self._reach(measured_speeds, -1.0)
-        highest = self._greatest(self._upper - angles - up.unavoidable, up)
-        lowest = -self._greatest(angles - self._lower - down.unavoidable, down)
-        command = np.clip(command, lowest, highest)
+        unavoidable, speed = self._coast(measured_speeds)
+        towards = _SIDES * angles
+        highest, lowest = self._greatest(self._ends - towards - unavoidable, speed)
+        command = np.clip(command, -lowest, highest)
         self.limiting_posture = ""
         for posture in self._forbidden:
-            kept_out = self._keep_out(posture, angles, command, up, down)
+            kept_out = self._keep_out(posture, towards, command, unavoidable, speed)
             if (kept_out != command).any():
                 self.limiting_posture = posture.name
             command = kept_out
@@ -325,79 +269,67 @@ class JointMotionLimiter:
             speed = speed + (sent - speed) * self._model_lag_fraction
         return np.asarray(np.clip(requested, speed - self._change, speed + self._change))
 
-    def _reach(self, measured: FloatArray, side: float) -> _Reach:
-        speed = np.maximum(np.maximum(side * self.speed, side * measured), 0.0)
+    def _coast(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(2, 7) unavoidable motion, rad, and speed, rad/s, when the next command begins to act."""
+        speed = np.maximum(np.maximum(_SIDES * self.speed, _SIDES * measured), 0.0)
         unavoidable = self._planned_s * speed + self._spare
         for sent in self._sent:
-            towards = np.maximum(side * sent, 0.0)
+            towards = np.maximum(_SIDES * sent, 0.0)
             unavoidable = unavoidable + HOLD_PERIODS * self._period_s * towards
             lag_fraction = np.where(towards > speed, self._held_lag_fraction, self._lag_fraction)
             speed = speed + (towards - speed) * lag_fraction
-        return _Reach(unavoidable, speed)
+        return unavoidable, speed
 
-    def _greatest(self, room: FloatArray, reach: _Reach) -> FloatArray:
-        """Greatest command towards a side, 0 or more, whose motion ends within the room, rad."""
-        slower = self._solve(room, reach.speed, self._lag_fraction)
-        faster = self._solve(room, reach.speed, self._longest_lag_fraction)
-        return np.maximum(np.where(slower <= reach.speed, slower, faster), 0.0)
+    def _greatest(self, room: FloatArray, speed: FloatArray) -> FloatArray:
+        """(2, 7) greatest commands, 0 or more, whose motion ends within the room, rad."""
+        slower = self._solve(room, speed, self._lag_fraction)
+        faster = self._solve(room, speed, self._longest_lag_fraction)
+        return np.maximum(np.where(slower <= speed, slower, faster), 0.0)
 
     def _solve(self, room: FloatArray, speed: FloatArray, lag_fraction: FloatArray) -> FloatArray:
-        """Command whose motion, see `_stopping_motion`, equals the room.
-
-        `lag_fraction` is k over its duration.
-        """
-        step = self._brake * self._period_s
+        """Command whose `_stopping_motion` equals the room; `lag_fraction` is k of its duration."""
+        step = self._brake_step
         ways = room / self._period_s
         off = (1.0 - lag_fraction) * speed - step / self._lag_fraction + 0.5 * step
         part = self._longest_hold / lag_fraction
         y = -part + np.sqrt(np.maximum(part**2 + 2.0 * (ways + part * off) / step, 0.0))
         return np.where(y > 0.0, (step * y - off) / lag_fraction, ways / self._longest_hold)
 
-    def _stopping_motion(self, command: FloatArray, reach: _Reach) -> FloatArray:
-        """Motion towards a side by a command and the braking after it, rad."""
-        step = self._brake * self._period_s
+    def _stopping_motion(self, command: FloatArray, speed: FloatArray) -> FloatArray:
+        """(2, 7) motion by a command, 0 or more, and the braking after it, rad."""
+        step = self._brake_step
         # the worse case: for a slower command one period, for a faster one its longest hold
-        lag_fraction = np.where(
-            command > reach.speed, self._longest_lag_fraction, self._lag_fraction
-        )
-        after = reach.speed + lag_fraction * (command - reach.speed)
+        lag_fraction = np.where(command > speed, self._longest_lag_fraction, self._lag_fraction)
+        after = speed + lag_fraction * (command - speed)
         y = np.maximum((after - step / self._lag_fraction) / step + 0.5, 0.0)
-        return np.asarray(
-            reach.unavoidable + self._period_s * (self._longest_hold * command + 0.5 * step * y**2)
-        )
+        return np.asarray(self._period_s * (self._longest_hold * command + 0.5 * step * y**2))
 
     def _keep_out(
         self,
         posture: ForbiddenPosture,
-        angles: FloatArray,
+        towards: FloatArray,
         command: FloatArray,
-        up: _Reach,
-        down: _Reach,
+        unavoidable: FloatArray,
+        speed: FloatArray,
     ) -> FloatArray:
         own = list(posture.slots)
-        rest = self._window(np.zeros(7))
+        begins = np.stack(
+            [posture.lower - _POSTURE_MARGIN_RAD, -posture.upper - _POSTURE_MARGIN_RAD]
+        )
 
-        def span(velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-            low = angles - self._stopping_motion(np.maximum(-velocity, 0.0), down)
-            high = angles + self._stopping_motion(np.maximum(velocity, 0.0), up)
-            return low[own], high[own]
+        def room(velocity: FloatArray) -> FloatArray:
+            motion = self._stopping_motion(np.maximum(_SIDES * velocity, 0.0), speed)
+            return begins - (towards + (unavoidable + motion))[:, own]
 
-        lower, upper = posture.lower - _POSTURE_MARGIN_RAD, posture.upper + _POSTURE_MARGIN_RAD
-        low, high = span(command)
-        if not ((high > lower) & (low < upper)).all():
+        if (room(command) >= 0.0).any():
             return command
-        # the angle with the most room is kept out
-        low, high = span(rest)
-        room = np.maximum(lower - high, low - upper)
-        one = int(np.argmax(room))
-        slot = own[one]
+        # the angle with the most room is kept out, on the side where it has it
+        left = room(self._window(np.zeros(7)))
+        one = int(np.argmax(left.max(axis=0)))
+        side, slot = int(np.argmax(left[:, one])), own[one]
+        most = self._greatest(begins[:, [one]] - towards - unavoidable, speed)[side, slot]
         command = command.copy()
-        if lower[one] - high[one] >= low[one] - upper[one]:
-            left = np.full(7, lower[one]) - angles - up.unavoidable
-            command[slot] = min(command[slot], self._greatest(left, up)[slot])
-        else:
-            left = angles - np.full(7, upper[one]) - down.unavoidable
-            command[slot] = max(command[slot], -self._greatest(left, down)[slot])
+        command[slot] = _SIDES[side, 0] * min(_SIDES[side, 0] * command[slot], most)
         return command
 
 

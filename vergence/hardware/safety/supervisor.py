@@ -32,71 +32,42 @@ _WINDOW_S: Final = 4.0
 """Length of the window, s (chosen)."""
 
 
-class OscillationDetector:
-    """Detector of eye joints that swing to and fro although their goal rests."""
+class _Swings:
+    """Detector of an eye joint that swings to and fro although its goal rests."""
 
     def __init__(self) -> None:
-        self.reset()
+        self._side = self._turned_s = 0.0
+        self._turned = self._farthest = np.nan
+        self._goals = np.nan, np.nan  # least and greatest since it turned round last
+        self._counted: deque[float] = deque()
 
-    def reset(self) -> None:
-        """Reset all counts."""
-        self._side = np.zeros(4)
-        self._turned = np.full(4, np.nan)
-        self._turned_s = np.zeros(4)
-        self._farthest = np.full(4, np.nan)
-        self._least_goal = np.full(4, np.inf)
-        self._most_goal = np.full(4, -np.inf)
-        self._counted: list[deque[float]] = [deque() for _ in range(4)]
+    def update(self, now_s: float, angle: float, goal: float) -> bool:
+        """True if the joint oscillates; `goal`, nan if unknown, looks straight at the target."""
+        self._goals = np.fmin(self._goals[0], goal), np.fmax(self._goals[1], goal)
+        if self._turns(now_s, angle):
+            swing_rad = abs(self._farthest - self._turned)
+            time_s = now_s - self._turned_s
+            fast = 0.5 * pi * swing_rad > _MIN_PEAK_SPEED_RAD_S * time_s
+            # a nan, without any goal, counts as a goal that rests
+            if fast and max(0.0, self._goals[1] - self._goals[0]) < 0.5 * swing_rad:
+                self._counted.append(now_s)
+            self._side, self._goals = -self._side, (goal, goal)
+            self._turned, self._turned_s, self._farthest = self._farthest, now_s, angle
+        while self._counted and now_s - self._counted[0] > _WINDOW_S:
+            self._counted.popleft()
+        return len(self._counted) >= _OSCILLATION_HALF_SWINGS
 
-    def find_oscillating_joint(
-        self, now_s: float, angles: FloatArray, goals: FloatArray
-    ) -> int | None:
-        """Update the counts with new angles and goals.
-
-        Args:
-            now_s: present time, s.
-            angles: (4,) angles of the eye joints, rad.
-            goals: (4,) angles at which they look straight at the target, rad; nan if unknown.
-
-        Returns:
-            Index of a joint that oscillates, 0 to 3; None if there is none.
-        """
-        self._least_goal = np.fmin(self._least_goal, goals)
-        self._most_goal = np.fmax(self._most_goal, goals)
-        for joint in range(4):
-            self._look(now_s, joint, float(angles[joint]), float(goals[joint]))
-            counted = self._counted[joint]
-            while counted and now_s - counted[0] > _WINDOW_S:
-                counted.popleft()
-            if len(counted) >= _OSCILLATION_HALF_SWINGS:
-                return joint
-        return None
-
-    def _look(self, now_s: float, joint: int, angle: float, goal: float) -> None:
-        side, farthest = self._side[joint], self._farthest[joint]
-        if np.isnan(farthest):
-            self._turned[joint] = self._farthest[joint] = angle
-            return
-        if side == 0.0:
-            if abs(angle - farthest) > _MIN_HALF_SWING_RAD:
-                self._side[joint] = np.sign(angle - farthest)
-                self._farthest[joint], self._turned_s[joint] = angle, now_s
-            return
-        if side * (angle - farthest) >= 0.0:
-            self._farthest[joint] = angle
-            return
-        if side * (farthest - angle) < _MIN_HALF_SWING_RAD:
-            return
-        half, time_s = abs(farthest - self._turned[joint]), now_s - self._turned_s[joint]
-        went = max(self._most_goal[joint] - self._least_goal[joint], 0.0)
-        if 0.5 * pi * half > _MIN_PEAK_SPEED_RAD_S * time_s and went < 0.5 * half:
-            self._counted[joint].append(now_s)
-        self._side[joint] = -side
-        self._turned[joint], self._turned_s[joint] = farthest, now_s
-        self._farthest[joint] = angle
-        self._least_goal[joint] = self._most_goal[joint] = goal
-        if np.isnan(goal):
-            self._least_goal[joint], self._most_goal[joint] = np.inf, -np.inf
+    def _turns(self, now_s: float, angle: float) -> bool:
+        """True if the joint has turned round since its farthest angle."""
+        if np.isnan(self._farthest):
+            self._turned = self._farthest = angle
+        back = self._side * (self._farthest - angle)
+        if self._side == 0.0 and abs(angle - self._farthest) > _MIN_HALF_SWING_RAD:
+            self._side = np.sign(angle - self._farthest)
+            self._farthest, self._turned_s = angle, now_s
+        elif self._side and back <= 0.0:
+            self._farthest = angle
+        return back >= _MIN_HALF_SWING_RAD
 
 
 _FIXATION_DISTANCE_M: Final = 1.0
@@ -111,28 +82,15 @@ _GAIN: Final = 4.0
 """Gain of the joints towards the point of the spiral, 1/s (chosen)."""
 
 
-class SpiralSearch:
-    """A slow spiral of the gaze.
-
-    Args:
-        head: the model of the head.
-    """
+class _SpiralSearch:
+    """A slow spiral of the gaze."""
 
     def __init__(self, head: HeadModel) -> None:
         self._head = head
         self._goal = head.actuation.actuators_of(head.rest())
 
     def velocities(self, time_s: float, angles: FloatArray, joints: FloatArray) -> FloatArray:
-        """Velocities along the spiral.
-
-        Args:
-            time_s: time since the search began, s.
-            angles: (7,) present angles of neck and actuators, rad.
-            joints: (7,) present joint angles, rad.
-
-        Returns:
-            (7,) requested velocities, rad/s.
-        """
+        """(7,) velocities, rad/s, a time after its begin, at angles of actuators and joints."""
         # an Archimedean spiral r = c phi: its arc is about c phi^2 / 2
         pitch = _SPIRAL_PITCH_RAD / (2.0 * pi)
         phi = sqrt(2.0 * _SPIRAL_SPEED_RAD_S * time_s / pitch) % (_MAX_RADIUS_RAD / pitch)
@@ -141,9 +99,8 @@ class SpiralSearch:
         goal = self._head.fixate(point, joints[NECK], warn=False)
         if np.isfinite(goal).all():
             self._goal = self._head.actuation.actuators_of(goal)
-        requested = np.clip(
-            _GAIN * (self._goal - angles), -2.0 * _SPIRAL_SPEED_RAD_S, 2.0 * _SPIRAL_SPEED_RAD_S
-        )
+        most = 2.0 * _SPIRAL_SPEED_RAD_S
+        requested = np.clip(_GAIN * (self._goal - angles), -most, most)
         requested[NECK] = 0.0
         return np.asarray(requested)
 
@@ -162,8 +119,6 @@ _LIMIT_VIOLATION_RAD: Final = 0.05
 """Distance beyond a limit that no command can cause, rad: the joint was pushed (chosen)."""
 _OVERRUN_WINDOW_S: Final = 2.0
 """Time over which missed periods are counted, s (chosen)."""
-
-
 _LATE_FRACTION: Final = 0.1
 """Fraction of missed periods above which a fault may be their consequence (chosen)."""
 
@@ -218,6 +173,7 @@ class Supervisor:
         emulated: True for an emulated head, whose servos may themselves come late.
 
     Attributes:
+        max_speed: (7,) greatest speeds of joints that have been seen to follow, rad/s.
         verdict: verdict on the last requested velocities.
         fault: reason of a stop in words; empty while there is none.
         distrusted: (7,) True for joints that do not follow: a command of zero may not stop them.
@@ -233,18 +189,18 @@ class Supervisor:
         last_s: float = 0.0,
         emulated: bool = False,
     ) -> None:
-        self._config, self._emulated = config, emulated
-        self._head = head
+        self._config, self._head, self._names = config, head, names
         self._lower, self._upper = lower, upper
-        self._names = names
+        self._emulated = emulated
         self._motion = JointMotionLimiter(head, lower, upper, config, last_s)
         self._following = FollowingMonitor(head, self._motion.max_speed)
-        self._oscillation = OscillationDetector()
-        self._search = SpiralSearch(head)
+        self._search = _SpiralSearch(head)
         self._last_sent = np.zeros(7)
         self._missed: deque[tuple[float, int]] = deque()
-        self._paused = -np.inf, 0.0  # end and length of the last long pause, s
-        self._seen_s = self._begun_s = np.nan
+        self._fresh_s = _MAX_AGE_PERIODS * head.timing.period_s
+        self._overrun_periods = round(_OVERRUN_WINDOW_S / head.timing.period_s)
+        self.begin(np.nan)
+        self.max_speed = self._motion.max_speed
         self.verdict = Verdict.GO
         self.fault = ""
         self.distrusted = np.zeros(7, dtype=np.bool_)
@@ -252,9 +208,9 @@ class Supervisor:
     def begin(self, now_s: float) -> None:
         """Begin a trial at a time, s, and watch its images, target and missed periods."""
         self._begun_s = self._seen_s = now_s
-        self._oscillation.reset()
+        self._swings = [_Swings() for _ in range(4)]
         self._missed.clear()
-        self._paused = -np.inf, 0.0
+        self._paused = -np.inf, 0.0  # end and length of the last long pause, s
 
     def stop(self, reason: str) -> None:
         """Stop for a reason in words; later reasons do not replace it.
@@ -281,12 +237,14 @@ class Supervisor:
     def _recently(self, now_s: float) -> bool:
         return now_s - self._paused[0] < _OVERRUN_WINDOW_S
 
+    def _missed_periods(self) -> int:
+        return sum(count for _, count in self._missed)
+
     def _lateness(self) -> str:
         """Beginning of a reason that may follow from late periods; empty if they were on time."""
-        now_s = self._missed[-1][0] if self._missed else -np.inf
-        missed = sum(count for _, count in self._missed)
-        periods = round(_OVERRUN_WINDOW_S / self._head.timing.period_s)
-        paused_s = self._paused[1] if self._recently(max(now_s, self._paused[0])) else 0.0
+        now_s = max(self._missed[-1][0] if self._missed else -np.inf, self._paused[0])
+        missed, periods = self._missed_periods(), self._overrun_periods
+        paused_s = self._paused[1] if self._recently(now_s) else 0.0
         if paused_s == 0.0 and missed <= _LATE_FRACTION * periods:
             return ""
         longest = f", and nothing was sent for {paused_s:.2f} s" if paused_s else ""
@@ -301,8 +259,7 @@ class Supervisor:
 
         Args:
             state: present state of the robot.
-            requested: (7,) requested velocities of the neck's joints and the eyes' actuators,
-                rad/s.
+            requested: (7,) requested velocities of the neck and the eyes' actuators, rad/s.
 
         Returns:
             (7,) command, rad/s; `verdict` and `fault` explain a difference from the request.
@@ -314,11 +271,9 @@ class Supervisor:
             requested, self.verdict = np.zeros(7), Verdict.STOP
         else:
             requested = self._while_lost(state, requested)
-        first = np.minimum(
-            np.maximum(_UNPROVED_SPEED_RATIO * self.max_speed, _MIN_UNPROVED_SPEED_RAD_S),
-            self.max_speed,
-        )
-        max_speed = np.where(self._following.proved_joints, self.max_speed, first)
+        first = np.maximum(_UNPROVED_SPEED_RATIO * self.max_speed, _MIN_UNPROVED_SPEED_RAD_S)
+        unproved = np.minimum(first, self.max_speed)
+        max_speed = np.where(self.proved_joints, self.max_speed, unproved)
         return self._motion.limit_velocities(
             state.actuator_angles, state.actuator_speeds, requested, max_speed
         )
@@ -332,11 +287,6 @@ class Supervisor:
     def proved_joints(self) -> BoolArray:
         """(7,) True for joints that have been seen to follow their commands."""
         return self._following.proved_joints
-
-    @property
-    def max_speed(self) -> FloatArray:
-        """(7,) greatest speeds of proved joints, rad/s."""
-        return self._motion.max_speed
 
     @property
     def limiting_posture(self) -> str:
@@ -356,29 +306,23 @@ class Supervisor:
                 f"servos: expected the joints' angles within {MAX_READING_AGE_S:g} s, got none for "
                 f"{age_s:.2f} s; cure: check the servos' cables and power"
             )
+        angles, fresh = state.actuator_angles, state.reading_age_s <= self._fresh_s
         for name, slot in self._names.items():
-            angle = state.actuator_angles[slot]
-            beyond = max(self._lower[slot] - angle, angle - self._upper[slot])
-            seen = state.reading_age_s[slot] <= _MAX_AGE_PERIODS * self._head.timing.period_s
-            if beyond > _LIMIT_VIOLATION_RAD and seen:
+            lower, angle, upper = self._lower[slot], angles[slot], self._upper[slot]
+            if fresh[slot] and max(lower - angle, angle - upper) > _LIMIT_VIOLATION_RAD:
                 self.stop(
-                    f"servos: {name}: expected {self._lower[slot]:.3f} to {self._upper[slot]:.3f} "
-                    f"rad, got {angle:.3f} rad: it was pushed, or commands came late; cure: turn "
-                    "it back by hand with torque off (`vergence jog`: off)"
+                    f"servos: {name}: expected {lower:.3f} to {upper:.3f} rad, got {angle:.3f} "
+                    "rad: it was pushed, or commands came late; cure: turn it back by hand with "
+                    "torque off (`vergence jog`: off)"
                 )
-        entered = find_containing_posture(self._config.forbidden, state.actuator_angles)
+        entered = find_containing_posture(self._config.forbidden, angles)
         if entered is not None:
-            refusal = entered.refusal(state.actuator_angles, self._names)
             self.stop(
-                f"safety: {refusal}; cure: turn it out of there by hand with torque off "
-                "(`vergence jog`: off)"
+                f"safety: {entered.refusal(angles, self._names)}; cure: turn it out of there by "
+                "hand with torque off (`vergence jog`: off)"
             )
         off = self._following.update(
-            state.now_s,
-            state.actuator_angles,
-            self._last_sent,
-            self._motion.speed,
-            state.reading_age_s <= _MAX_AGE_PERIODS * self._head.timing.period_s,
+            state.now_s, angles, self._last_sent, self._motion.speed, fresh
         )
         self.distrusted |= off > 0.0
         for name, slot in self._names.items():
@@ -404,8 +348,7 @@ class Supervisor:
         self._missed.append((state.now_s, state.missed_periods))
         while state.now_s - self._missed[0][0] > _OVERRUN_WINDOW_S:
             self._missed.popleft()
-        missed = sum(count for _, count in self._missed)
-        periods = round(_OVERRUN_WINDOW_S / self._head.timing.period_s)
+        missed, periods = self._missed_periods(), self._overrun_periods
         if missed > config.overruns * periods:
             self.stop(
                 f"loop: expected at most {config.overruns:.0%} of the {periods} periods of "
@@ -414,16 +357,15 @@ class Supervisor:
                 "control_rate_hz in the head file"
             )
         goals = np.full(4, np.nan) if state.target_eye_angles is None else state.target_eye_angles
-        joint = self._oscillation.find_oscillating_joint(
-            state.now_s, state.joint_angles[EYES], goals
-        )
-        if joint is not None:
-            self.stop(
-                f"{OSCILLATION_REASON}, got {self._head.joints[EYES][joint]} swinging at speed; "
-                "cure: a "
-                "policy with lower gains, or one that counts on the loop's delay, such as "
-                "state-feedback"
-            )
+        pairs = zip(state.joint_angles[EYES].tolist(), goals.tolist(), strict=True)
+        for joint, (swings, pair) in enumerate(zip(self._swings, pairs, strict=True)):
+            if swings.update(state.now_s, *pair):
+                self.stop(
+                    f"{OSCILLATION_REASON}, got {self._head.joints[EYES][joint]} swinging at "
+                    "speed; cure: a policy with lower gains, or one that counts on the loop's "
+                    "delay, such as state-feedback"
+                )
+                break
 
     def _while_lost(self, state: RobotState, requested: FloatArray) -> FloatArray:
         """Replace the requested velocities while the target is lost: by rest, or by the search."""
@@ -450,13 +392,8 @@ alike in the image (chosen: a usual working distance)."""
 def target_eye_angles(head: HeadModel, q: FloatArray, pixels: FloatArray) -> FloatArray:
     """Goals of the four eye joints by one Newton step, which is exact at the goal itself.
 
-    Args:
-        head: the model of the head.
-        q: (7,) joint angles at the exposure, rad.
-        pixels: (2, 2) raw pixels of the target; nan if it is not visible to an eye.
-
-    Returns:
-        (4,) goal angles, rad; nan for the joints of an eye to which it is not visible.
+    They are (4,) rad, nan for an eye to which the target is not visible, of the (7,) joint angles
+    at the exposure, rad, and the target's (2, 2) raw pixels, nan for such an eye.
     """
     ideal = head.undistort(pixels)
     jacobian = head.image_jacobian(q, ideal, np.full(2, _ASSUMED_DISTANCE_M))
