@@ -252,10 +252,13 @@ class DriveThread(threading.Thread):
         Raises:
             HardwareError: something is wrong; the caller has to call `brake`.
         """
+        before = self._supervisor.fault
         self.sent = self.send(requested, trial)
+        # a joint that does not follow is known only after the command
+        new = not before and self._supervisor.distrusted.any()
+        if self._supervisor.fault and (trial is None or new):
+            raise HardwareError(self._supervisor.fault)
         if trial is None:
-            if self._supervisor.fault:
-                raise HardwareError(self._supervisor.fault)
             self._sleep(self._period_s)
         else:
             self._wait_for_tick()
@@ -384,9 +387,6 @@ class DriveThread(threading.Thread):
             missed_periods=0 if trial is None else trial.missed_periods,
         )
         command = self._supervisor.command(state, requested)
-        distrusted = self._supervisor.distrusted[self.angles.slots] & ~self._released
-        if distrusted.any():
-            self._released |= release(self._servos, distrusted)
         sent = np.zeros(7)
         if self._on:
             sent = self.angles.velocities(self._servos.send(self.angles.shaft_speeds(command)))
@@ -398,6 +398,9 @@ class DriveThread(threading.Thread):
         self.last_sent = sent  # repeated if the next command is late
         self._sent_s = self._clock()
         self._supervisor.on_sent(sent)
+        distrusted = self._supervisor.distrusted[self.angles.slots] & ~self._released
+        if distrusted.any():
+            self._released |= release(self._servos, distrusted)
         self._rests = self._rests and not sent.any()
         return sent
 

@@ -196,6 +196,7 @@ class Supervisor:
         self._following = FollowingMonitor(head, self._motion.max_speed)
         self._search = _SpiralSearch(head)
         self._last_sent = np.zeros(7)
+        self._state: RobotState | None = None
         self._missed: deque[tuple[float, int]] = deque()
         self._fresh_s = _MAX_AGE_PERIODS * head.timing.period_s
         self._overrun_periods = round(_OVERRUN_WINDOW_S / head.timing.period_s)
@@ -266,6 +267,7 @@ class Supervisor:
         """
         if np.isnan(requested).any():
             self.stop("policy: expected numbers for a command, got nan")
+        self._state = state
         self._judge(state)
         if self.fault:
             requested, self.verdict = np.zeros(7), Verdict.STOP
@@ -279,9 +281,30 @@ class Supervisor:
         )
 
     def on_sent(self, sent: FloatArray) -> None:
-        """Report the command, (7,) rad/s, that was sent for a period."""
+        """Report the command, (7,) rad/s, that was sent for a period, and judge the joints' motion.
+
+        That takes longer than all else, so it does not delay the command.
+        """
+        self._judge_following()
         self._motion.advance(sent)
         self._last_sent = sent.copy()
+
+    def _judge_following(self) -> None:
+        """Stop if a joint does not follow, by the state of the last command."""
+        state = self._state
+        if state is None:
+            return
+        fresh = state.reading_age_s <= self._fresh_s
+        off = self._following.update(
+            state.now_s, state.actuator_angles, self._last_sent, self._motion.speed, fresh
+        )
+        self.distrusted |= off > 0.0
+        for name, slot in self._names.items():
+            if off[slot] > 0.0:
+                self.stop(
+                    f"servos: {name}: expected the joint to follow its commands, got one that "
+                    f"{self._following.describe(slot)}"
+                )
 
     @property
     def proved_joints(self) -> BoolArray:
@@ -321,16 +344,6 @@ class Supervisor:
                 f"safety: {entered.refusal(angles, self._names)}; cure: turn it out of there by "
                 "hand with torque off (`vergence jog`: off)"
             )
-        off = self._following.update(
-            state.now_s, angles, self._last_sent, self._motion.speed, fresh
-        )
-        self.distrusted |= off > 0.0
-        for name, slot in self._names.items():
-            if off[slot] > 0.0:
-                self.stop(
-                    f"servos: {name}: expected the joint to follow its commands, got one that "
-                    f"{self._following.describe(slot)}"
-                )
         if state.images_received_s is not None:
             self._judge_loop(state, state.images_received_s)
 
