@@ -12,9 +12,11 @@ zero, without a bound on acceleration.
 import argparse
 import dataclasses
 from collections import deque
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 
 import numpy as np
-from joblib import Parallel, delayed
 from rich.console import Console
 from rich.progress import track
 
@@ -177,12 +179,12 @@ def main() -> None:
     parser.add_argument("--ends", dest="how", action="store_const", const="ends", default="")
     options = parser.parse_args()
     firsts = range(0, options.sequences, CHUNK)
-    results = Parallel(n_jobs=options.jobs, return_as="generator_unordered")(
-        delayed(chunk)(first, options.seed, options.how) for first in firsts
-    )
-    worst = np.zeros(4)
-    for one in track(results, "sequences", total=len(firsts), console=Console(stderr=True)):
-        worst = np.maximum(worst, one)
+    worst, one_chunk = np.zeros(4), partial(chunk, seed=options.seed, how=options.how)
+    # forked: a script's functions are found in its copies alone
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("fork")) as pool:
+        found = pool.map(one_chunk, firsts)
+        for one in track(found, "sequences", total=len(firsts), console=Console(stderr=True)):
+            worst = np.maximum(worst, one)
     print(f"{options.sequences} sequences; the most that was exceeded:")
     for name, value, unit in zip(
         ("position", "speed", "acceleration", "forbidden postures"),

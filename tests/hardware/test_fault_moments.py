@@ -1,6 +1,7 @@
 """At rest within its bound after each fault, at drawn moments, by the emulator's own record."""
 
 import itertools
+import os
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning"),  # before the stop
 ]
-MORE = range(1, 10)
+MORE = range(1, int(os.environ.get("VERGENCE_FAULT_MOMENTS", "10")))
 BOUNDS = Bounds(virtual_config())
 
 
