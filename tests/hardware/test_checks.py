@@ -129,7 +129,7 @@ def test_a_posture_is_taken_on_the_turn_nearest_the_range(check):
 def test_equal_ids_are_found_by_their_clocks_where_all_else_is_alike(check):
     own = ready_servos()
     own[1].set(table.ID, 1)
-    own[1].memory.bytes[120] = 1  # REALTIME_TICK
+    own[1].bytes[120] = 1  # REALTIME_TICK
     found = check(own)
     assert any("expected one servo with the id 1, got two or more" in str(one) for one in found)
 

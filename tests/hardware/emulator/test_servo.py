@@ -22,7 +22,7 @@ from vergence.hardware.dynamixel.packets import (
     PacketParser,
     instruction_packet,
 )
-from vergence.hardware.emulator.servo import REST_RAD_S, EmulatedServo, rest_start_and_top_speed
+from vergence.hardware.emulator.servo import EmulatedServo, rest_start_s
 from vergence.hardware.emulator.world import ServoLine
 
 NOBODY = instruction_packet(100, Instruction.PING)
@@ -119,10 +119,10 @@ def test_writes_under_torque_are_checked():
         (table.Register("BEHIND", 660, 2), 0, ErrorNumber.DATA_RANGE),
     ):  # fmt: skip
         line = turning()
-        before = bytes(line.servos[0].memory.bytes)
+        before = bytes(line.servos[0].bytes)
         with named(register.name, value):
             assert write(line, 0.0, 1, register, value)[0].error == error
-            assert (bytes(line.servos[0].memory.bytes) == before) == (error != 0)
+            assert (bytes(line.servos[0].bytes) == before) == (error != 0)
 
 
 def test_the_status_return_level_says_what_is_answered():
@@ -369,18 +369,16 @@ def stopping():
 
 
 def rest(line, since_s):
-    return rest_start_and_top_speed([servo.trace for servo in line.servos], since_s)
+    return rest_start_s([servo.trace for servo in line.servos], since_s)
 
 
 def test_rest_begins_when_the_speed_falls_below_a_step():
     line = stopping()
     line.advance_to(5.0)
     for since_s in (0.5, 1.0):
-        rested_s, fastest = rest(line, since_s)
-        assert rested_s == pytest.approx(1.0 + 0.03 * log(50), abs=1e-4)
-        assert fastest == pytest.approx(50 * REST_RAD_S)
+        assert rest(line, since_s) == pytest.approx(1.0 + 0.03 * log(50), abs=1e-4)
     # what rests already rests since then
-    assert rest(line, 3.0) == (3.0, pytest.approx(0.0, abs=1e-9))
+    assert rest(line, 3.0) == 3.0
 
 
 def test_rest_does_not_depend_on_how_often_the_joint_was_looked_at():
@@ -389,7 +387,7 @@ def test_rest_does_not_depend_on_how_often_the_joint_was_looked_at():
         read(often, 1.0 + 0.0007 * i, 1, table.PRESENT_VELOCITY)
     for line in (often, once):
         line.advance_to(2.0)
-    assert rest(often, 1.0)[0] == pytest.approx(rest(once, 1.0)[0], abs=1e-4)
+    assert rest(often, 1.0) == pytest.approx(rest(once, 1.0), abs=1e-4)
 
 
 def test_a_trace_of_steady_motion_stays_short():

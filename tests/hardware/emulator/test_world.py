@@ -318,35 +318,16 @@ def test_cameras_learn_of_their_faults_with_the_next_exposure_until_they_are_cle
     assert served.client.ask({"expose": None})["faults"] == []
 
 
-@pytest.fixture
-def turning(served):
-    """The first servo of a served world, which turns since now."""
-    served.client.ask({"record": None})
-    servo = served.world.servos["left_pan"]
+def test_a_client_is_told_from_when_on_the_joints_rest(served):
+    start_s, servo = served.client.ask({"state": None})["time"], served.world.servos["left_pan"]
     servo.write(table.OPERATING_MODE.address, b"\1")
     servo.write(table.TORQUE_ENABLE.address, b"\1")
     servo.set(table.GOAL_VELOCITY, 50)
-    return servo
-
-
-def test_a_client_is_told_from_when_on_the_joints_rest(served, turning):
-    start_s = served.clock.now
     served.clock.sleep(0.3)
     assert served.client.rest_start_s(start_s) is None
     began_s = served.client.begin_fault(what="overload", ids=[1])
     served.clock.sleep(1.0)
     assert began_s + 0.03 < served.client.rest_start_s(began_s) < began_s + 0.5
-    assert served.client.ask({"rest": {"since": began_s}})["fastest"] > 1.0
-
-
-def test_the_record_has_each_joint_since_the_last_call(served, turning):
-    started_s = served.clock.now
-    served.clock.sleep(0.1)
-    record = served.client.ask({"record": None})["left_pan"]
-    assert record["times"][0] == started_s
-    assert np.diff(record["times"]).max() <= 0.002 + 1e-9
-    assert record["velocities"][-1] == pytest.approx(turning.v)
-    assert record["positions"][-1] == pytest.approx(turning.q)
 
 
 IMPERFECT = {

@@ -229,7 +229,9 @@ def fit_joint(
     guess: FittedMotor,
     encoder_step_rad: float,
 ) -> JointFit:
-    """Fit the response of an actuator.
+    """Fit the response of an actuator by robust least squares.
+
+    Its uncertainty counts residuals within a second as dependent.
 
     Args:
         sent_s: (n,) times at which the commands were sent, s.
@@ -238,9 +240,6 @@ def fit_joint(
         angles: (m,) encoder angles, rad.
         guess: parameters of the head model, the start of the fit.
         encoder_step_rad: quantisation step of the encoder, rad.
-
-    Returns:
-        The robust least-squares fit. Its uncertainty counts residuals within a second as dependent.
     """
     data = _Data(sent_s, commands, joints_s, angles, max(encoder_step_rad, 4e-5))
     starts = [guess._replace(latency_s=latency) for latency in _START_LATENCIES_S]
@@ -300,12 +299,22 @@ class _Data:
     ) -> None:  # fmt: skip
         self._recorded, self._angles = (sent_s, commands, joints_s), angles
         self._clusters = ((joints_s - joints_s[0]) / CLUSTER_S).astype(np.int64)
-        self._detrender = _Detrender(joints_s, self._clusters)
+        self._counts = np.maximum(np.bincount(self._clusters), 1)
+        self._own_s = joints_s - self._mean(joints_s)
+        self._squares = np.maximum(np.bincount(self._clusters, self._own_s**2), 1e-12)
         self._rounded = _QUANTISATION_SIGMA * step_rad
+
+    def _mean(self, values: FloatArray) -> FloatArray:
+        return np.asarray((np.bincount(self._clusters, values) / self._counts)[self._clusters])
+
+    def _detrended(self, values: FloatArray) -> FloatArray:
+        """Subtract a fitted straight line from the values of each cluster."""
+        slopes = np.bincount(self._clusters, values * self._own_s) / self._squares
+        return np.asarray(values - (self._mean(values) + slopes[self._clusters] * self._own_s))
 
     def residual(self, motor: FittedMotor) -> FloatArray:
         """Angles beside the motor's without their drift, rad."""
-        return self._detrender.detrended(self._angles - simulate_motor(motor, *self._recorded)[0])
+        return self._detrended(self._angles - simulate_motor(motor, *self._recorded)[0])
 
     def misfit(self, motor: FittedMotor) -> float:
         """Robust sum of the residuals."""
@@ -323,7 +332,7 @@ class _Data:
 
         def beside_rad(lag_s: float) -> float:
             other = simulate_motor(plain._replace(lag_s=lag_s), *self._recorded)[0]
-            return float(np.sqrt(np.mean(self._detrender.detrended(moved - other) ** 2)))
+            return float(np.sqrt(np.mean(self._detrended(moved - other) ** 2)))
 
         found = minimize_scalar(beside_rad, bounds=_BOUNDS[1][:2], method="bounded")
         return float(found.x), float(found.fun)
@@ -407,24 +416,6 @@ class _Data:
         return motor(found.x), found, unit
 
 
-class _Detrender:
-    """Removes the linear drift of values in each cluster."""
-
-    def __init__(self, times: FloatArray, clusters: IntArray) -> None:
-        self._clusters = clusters
-        self._counts = np.maximum(np.bincount(clusters), 1)
-        self._times = times - self._mean(times)
-        self._squares = np.maximum(np.bincount(clusters, self._times**2), 1e-12)
-
-    def _mean(self, values: FloatArray) -> FloatArray:
-        return np.asarray((np.bincount(self._clusters, values) / self._counts)[self._clusters])
-
-    def detrended(self, values: FloatArray) -> FloatArray:
-        """Subtract a fitted straight line from the values of each cluster."""
-        slopes = np.bincount(self._clusters, values * self._times) / self._squares
-        return np.asarray(values - (self._mean(values) + slopes[self._clusters] * self._times))
-
-
 def jackknife_covariance(
     jacobian: FloatArray, residual: FloatArray, clusters: IntArray, loss_scale: float,
     prior_count: int,
@@ -435,12 +426,9 @@ def jackknife_covariance(
     them: CR3 of Bell and McCaffrey, Survey Methodology 28, 2002. If a few clusters carry most of
     the information it is less biased than the sandwich estimator.
 
-    Args:
-        jacobian: (m, p) Jacobian of `least_squares`, scaled by its loss `soft_l1`.
-        residual: (m,) residuals of `least_squares`, not scaled.
-        clusters: (m - known,) index of each residual's cluster.
-        loss_scale: `f_scale` of the loss.
-        prior_count: number of priors with standard deviation 1, which are the last residuals.
+    `jacobian`, (m, p), and `residual`, (m,), are those of `least_squares`, the former scaled by its
+    loss `soft_l1` with `loss_scale`; the last `prior_count` residuals are priors with standard
+    deviation 1, and `clusters` has the index of each other one's cluster.
     """
     whole, measured = jacobian.T @ jacobian, len(residual) - prior_count
     scaled = residual * (1.0 + (residual / loss_scale) ** 2) ** 0.25

@@ -46,31 +46,24 @@ _DELAY_PERIODS: Final = 3
 
 def excitation_speeds(reach_rad: float, max_speed_rad_s: float, period_s: float) -> FloatArray:
     """(n,) speeds of the excitation, one per control period, rad/s."""
-    way_rad, speed_rad_s = min(_SLOW_AMPLITUDE_RAD, reach_rad), min(SLOW_RAD_S, max_speed_rad_s)
-    slow = _to_and_fro(way_rad, speed_rad_s, _SLOW_DURATION_S, period_s)
-    chirp = _chirp(reach_rad, min(CHIRP_RAD_S, max_speed_rad_s), period_s)
-    quick = min(QUICK_RAD_S, max_speed_rad_s)
-    reversals = _to_and_fro(reach_rad, quick, _REVERSALS_DURATION_S, period_s)
-    return np.concatenate([slow, chirp, reversals, slow])
 
+    def to_and_fro(way_rad: float, speed_rad_s: float, length_s: float) -> FloatArray:
+        speed_rad_s = min(speed_rad_s, max_speed_rad_s)
+        quarter = max(2, round(way_rad / speed_rad_s / period_s))
+        turn = np.repeat([1.0, -1.0, -1.0, 1.0], quarter)
+        times = max(1, round(length_s / period_s / len(turn)))
+        return np.asarray(speed_rad_s * np.tile(turn, times))
 
-def _to_and_fro(way_rad: float, speed_rad_s: float, length_s: float, period_s: float) -> FloatArray:
-    """Speeds of a triangular motion about the start angle."""
-    quarter = max(2, round(way_rad / speed_rad_s / period_s))
-    turn = np.repeat([1.0, -1.0, -1.0, 1.0], quarter)
-    times = max(1, round(length_s / period_s / len(turn)))
-    return np.asarray(speed_rad_s * np.tile(turn, times))
-
-
-def _chirp(reach_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
-    """Speeds of a sinusoidal motion with growing frequency."""
+    slow = to_and_fro(min(_SLOW_AMPLITUDE_RAD, reach_rad), SLOW_RAD_S, _SLOW_DURATION_S)
+    # a sinusoid with growing frequency
     first, last = _CHIRP_HZ
     t = period_s * np.arange(round(_CHIRP_DURATION_S / period_s))
     rate = (last / first) ** (1.0 / _CHIRP_DURATION_S)
     frequency = first * rate**t
-    phase = 2.0 * np.pi * (frequency - first) / np.log(rate)
-    most = np.minimum(speed_rad_s, 2.0 * np.pi * frequency * reach_rad)
-    return np.asarray(most * np.cos(phase))
+    most = np.minimum(min(CHIRP_RAD_S, max_speed_rad_s), 2.0 * np.pi * frequency * reach_rad)
+    chirp = most * np.cos(2.0 * np.pi * (frequency - first) / np.log(rate))
+    reversals = to_and_fro(reach_rad, QUICK_RAD_S, _REVERSALS_DURATION_S)
+    return np.concatenate([slow, chirp, reversals, slow])
 
 
 def drift_corrected_velocities(
@@ -113,6 +106,10 @@ class SampleCollector(RobotListener):
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self.newest = np.zeros(7)
+        self.clear()
+
+    def clear(self) -> None:
+        """Discard everything recorded so far."""
         self._commands: list[LoggedCommand] = []
         self._joints: list[tuple[float, FloatArray]] = []
         self._answered_s: list[float] = []
@@ -137,11 +134,6 @@ class SampleCollector(RobotListener):
         sent_s = [one.clock_s for one in self._commands if one.by == CommandOrigin.POLICY.value]
         count = min(len(sent_s), len(read_s))
         return np.subtract(sent_s[:count], read_s[:count])
-
-    def clear(self) -> None:
-        """Discard everything recorded so far."""
-        for kept in (self._commands, self._joints, self._answered_s, self._detections):
-            kept.clear()
 
     def samples(self, eye: str, slot: int, latency_s: float) -> LoopSamples:
         """Samples of one eye, dated by its latency, while a slot's actuator turned."""
@@ -211,43 +203,42 @@ class LoopMeasurement:
         """Combine the values of both eyes into one loop for the configuration."""
         joints = [one.joint_fit for one in self.eyes]
         images = [one.image_fit for one in self.eyes if one.image_fit is not None]
-        values: dict[str, float] = {}
-        sigma: dict[str, float] = {}
-
-        def put(name: str, pairs: Sequence[tuple[float, float]], shared: bool = False) -> None:
-            if pairs:
-                values[name], deviation = _mean(pairs, shared)
-                if np.isfinite(deviation):
-                    sigma[name] = deviation
-
-        commands = [(max(one.motor.latency_s, 0.0), one.sigma.latency_s) for one in joints]
-        put("command_latency_s", commands, shared=True)
-        lags = [
-            (one.joint_fit.lag_s, one.joint_fit.lag_sigma_s, one.lag_ratio) for one in self.eyes
-        ]
-        put("lag_s", [(lag_s / ratio, sigma_s / ratio) for lag_s, sigma_s, ratio in lags])
-        put("speed_gain", [(one.motor.gain, one.sigma.gain) for one in joints])
-        put("backlash_rad", [(one.backlash_rad, one.backlash_sigma_rad) for one in images])
-        jitters = [(one.jitter_s, one.jitter_sigma_s) for one in images if one.jitter_s is not None]
-        put("jitter_s", jitters)
-        accelerations = [
-            (
-                found / one.model_acceleration_rad_s2,
-                one.joint_fit.acceleration_sigma / one.model_acceleration_rad_s2,
-            )
-            for one in self.eyes
-            if (found := one.joint_fit.acceleration_rad_s2) is not None
-        ]
-        if len(accelerations) == len(joints):
-            put("acceleration_ratio", accelerations)
-        latencies = [(one.least_latency_s, one.least_latency_sigma_s) for one in images]
-        if latencies:
-            sigma["latency_s"] = _mean(latencies, shared=True)[1]
+        limits = [one.acceleration_rad_s2 for one in joints]
+        found: dict[str, list[tuple[float, float]]] = {
+            "command_latency_s": [
+                (max(one.motor.latency_s, 0.0), one.sigma.latency_s) for one in joints
+            ],
+            "lag_s": [
+                (one.joint_fit.lag_s / one.lag_ratio, one.joint_fit.lag_sigma_s / one.lag_ratio)
+                for one in self.eyes
+            ],
+            "speed_gain": [(one.motor.gain, one.sigma.gain) for one in joints],
+            "backlash_rad": [(one.backlash_rad, one.backlash_sigma_rad) for one in images],
+            "jitter_s": [
+                (one.jitter_s, one.jitter_sigma_s) for one in images if one.jitter_s is not None
+            ],
+            "acceleration_ratio": [
+                (
+                    limit / one.model_acceleration_rad_s2,
+                    one.joint_fit.acceleration_sigma / one.model_acceleration_rad_s2,
+                )
+                for one, limit in zip(self.eyes, limits, strict=True)
+                if limit is not None and None not in limits
+            ],
+            "latency_s": [(one.least_latency_s, one.least_latency_sigma_s) for one in images],
+        }
+        # timing errors of readings on one line do not average out
+        shared = ("command_latency_s", "latency_s")
+        means = {name: _mean(pairs, name in shared) for name, pairs in found.items() if pairs}
         return LoopConfig(
             measured=datetime.date.today().isoformat(),
             computing_s=float(np.mean([one.computing_s for one in self.eyes])),
-            sigma=sigma,
-            **values,
+            sigma={
+                name: sigma
+                for name, (_, sigma) in means.items()
+                if np.isfinite(sigma) or name == "latency_s"
+            },
+            **{name: value for name, (value, _) in means.items() if name != "latency_s"},
         )
 
     def misfits(self) -> list[str]:
@@ -325,10 +316,7 @@ class LoopMeasurement:
 
 
 def _mean(pairs: Sequence[tuple[float, float]], shared: bool) -> tuple[float, float]:
-    """Mean of the values, and its standard deviation, at least half the range of the values.
-
-    Shared errors, such as timing errors of readings on one line, do not average out.
-    """
+    """Mean of the values, and its standard deviation, at least half the range of the values."""
     values, sigmas = np.array(pairs).T
     own = float(np.sqrt(np.mean(sigmas**2) / (1 if shared else len(values))))
     return float(values.mean()), max(own, 0.5 * float(np.ptp(values)))
@@ -410,9 +398,10 @@ def measure_loop(
     head, collector = config.head, SampleCollector(clock)
     slots = {name: actuator_slot(head, EYE_NAMES.index(name), actuator) for name in eyes}
     target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
-    options = {"config": config, "log": collector, "clock": clock, "sleep": sleep}
-    options["view_check"] = view_check
-    task = GazeTask(1, head=head, plant="hardware", target=target, plant_options=options)
+    own = {"log": collector, "clock": clock, "sleep": sleep, "view_check": view_check}
+    task = GazeTask(
+        1, head=head, plant="hardware", target=target, plant_options=own | {"config": config}
+    )
     look = make_controller("ibvs", head, task.layout, gain=_CENTRING_GAIN)
     turns = []
     with closing(task):
@@ -427,27 +416,16 @@ def measure_loop(
     found = []
     # only now: a fit and its compilation would delay the thread that holds the joints
     for place, turn in enumerate(turns, 1):
-        found.append(_fitted(config, turn))
+        found.append(_fitted(config, *turn))
         progress(_TURNING_PROGRESS + (1.0 - _TURNING_PROGRESS) * place / len(turns))
     return LoopMeasurement(eyes=tuple(found))
-
-
-class _Turn(NamedTuple):
-    """Data of one eye from its excitation."""
-
-    eye: int
-    slot: int
-    samples: LoopSamples
-    point: FloatArray
-    """(3,) approximate position of the target, in N, m."""
-    reply_s: float
-    """Median time from a reading to its command, s."""
 
 
 def _turn(
     config: HardwareConfig, task: GazeTask, look: Any, collector: SampleCollector, eye: int,
     slot: int, progress: Callable[[float], None],
-) -> _Turn:  # fmt: skip
+) -> tuple[int, int, LoopSamples, FloatArray, float]:  # fmt: skip
+    """Arguments of `_fitted`: eye, slot, samples, point near the target, and time to a command."""
     head, name = config.head, EYE_NAMES[eye]
     assert isinstance(task.plant, HardwarePlant)
     period_s = head.timing.period_s
@@ -483,12 +461,17 @@ def _turn(
 
     task.plant.robot.exercise(all_of_them())
     samples = collector.samples(name, slot, config.cameras[eye].latency_s)
-    point = _point(head, eye, positions, at_exposure, pixels)
-    return _Turn(eye, slot, samples, point, reply_s)
+    point = triangulate_views(head, at_exposure[None], pixels[None]).point[0]
+    if not (np.isfinite(point).all() and point[2] > 0.0):
+        point = _ahead(head, eye, positions)
+    return eye, slot, samples, point, reply_s
 
 
-def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
-    head, samples, slot = config.head, turn.samples, turn.slot
+def _fitted(
+    config: HardwareConfig, eye: int, slot: int, samples: LoopSamples, point: FloatArray,
+    reply_s: float,
+) -> EyeLoop:  # fmt: skip
+    head = config.head
     timing, actuation = head.timing, head.actuation
     motors = actuation.actuators_of(samples.joint_angles)
     guess = FittedMotor(
@@ -500,9 +483,9 @@ def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
     recorded = samples.sent_s, samples.sent_velocities, samples.joints_s, motors[:, slot]
     fit = fit_joint(*recorded, guess, max(float(head.sensor.encoder_resolution_rad), 1e-5))
     image = fit_latency_and_backlash(
-        head, turn.eye, slot, np.median(motors, axis=0), fitted_angle_path(fit.motor, *recorded),
+        head, eye, slot, np.median(motors, axis=0), fitted_angle_path(fit.motor, *recorded),
         (float(samples.joints_s[0]), float(samples.joints_s[-1])),
-        samples.received_s, samples.pixels, turn.point, 1.5 * CHIRP_RAD_S,
+        samples.received_s, samples.pixels, point, 1.5 * CHIRP_RAD_S,
     )  # fmt: skip
     late = float(np.hypot(fit.sigma.latency_s, samples.joint_time_sigma_s))
     fit = replace(fit, sigma=fit.sigma._replace(latency_s=late))
@@ -511,13 +494,13 @@ def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
         image = replace(image, latency_sigma_s=late)
     detection_s = samples.detection_time_s
     return EyeLoop(
-        eye=EYE_NAMES[turn.eye],
+        eye=EYE_NAMES[eye],
         actuator=next(one.name for one in config.servos if one.slot == slot),
         lag_ratio=float(actuation.lag_ratio[slot]),
         model_acceleration_rad_s2=float(actuation.acceleration[slot]),
         joint_fit=fit,
         image_fit=image,
-        computing_s=turn.reply_s + (float(np.median(detection_s)) if len(detection_s) else 0.0),
+        computing_s=reply_s + (float(np.median(detection_s)) if len(detection_s) else 0.0),
     )
 
 
@@ -530,14 +513,14 @@ def actuator_slot(head: HeadModel, eye: int, actuator: str | None = None) -> int
         ConfigurationError: no eye has such an actuator, or it does not move this eye's image.
     """
     rest = head.rest()
-    point = head.camera_poses(rest)[eye] @ np.array([0.0, 0.0, 1.0, 1.0])
+    point = _ahead(head, eye, rest)
     base = head.actuation.actuators_of(rest)
-    before = head.project(rest, point[:3], distorted=False)[eye]
+    before = head.project(rest, point, distorted=False)[eye]
 
     def moved_px(slot: int) -> float:
         turned = base.copy()
         turned[slot] += _ANGLE_STEP_RAD
-        after = head.project(head.actuation.joints_of(turned), point[:3], distorted=False)[eye]
+        after = head.project(head.actuation.joints_of(turned), point, distorted=False)[eye]
         return float(np.linalg.norm(after - before))
 
     moved = {name: moved_px(NECK.stop + i) for i, name in enumerate(head.actuation.names)}
@@ -551,14 +534,9 @@ def actuator_slot(head: HeadModel, eye: int, actuator: str | None = None) -> int
     return NECK.stop + head.actuation.names.index(name)
 
 
-def _point(
-    head: HeadModel, eye: int, positions: FloatArray, at_exposure: FloatArray, pixels: FloatArray
-) -> FloatArray:
-    point = triangulate_views(head, at_exposure[None], pixels[None]).point[0]
-    if np.isfinite(point).all() and point[2] > 0.0:
-        return np.asarray(point)
-    T_N_C = head.camera_poses(positions)[eye]  # at 1 m ahead of the eye
-    return np.asarray((T_N_C @ np.array([0.0, 0.0, 1.0, 1.0]))[:3])
+def _ahead(head: HeadModel, eye: int, q: FloatArray) -> FloatArray:
+    """(3,) point 1 m ahead of an eye, in N."""
+    return np.asarray((head.camera_poses(q)[eye] @ np.array([0.0, 0.0, 1.0, 1.0]))[:3])
 
 
 def _reach(

@@ -33,10 +33,6 @@ _RULES: Final[dict[str, Rule]] = {
     "probability": (lambda x: 0.0 < x <= 1.0, "a probability, more than 0 to 1"),
 }
 _DELAY: Final[Rule] = (lambda x: 0.0 < x <= 10.0, "seconds, 0 to 10")
-_VOLTAGE: Final[Rule] = (lambda x: 0.0 <= x <= 60.0, "V, 0 to 60")
-_TEMPERATURE: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "degrees Celsius, 0 to 255")
-_LOAD: Final[Rule] = (lambda x: -100.0 <= x <= 100.0, "percent of the greatest load, -100 to 100")
-_SCALE: Final[Rule] = (lambda x: 0.1 <= abs(x) <= 10.0, "a ratio, 0.1 to 10 in size")
 
 
 class _Kind(NamedTuple):
@@ -50,28 +46,31 @@ class _Kind(NamedTuple):
     """Default of its value; None if a value has to be given."""
 
 
+def _valued(rule: Rule) -> _Kind:
+    return _Kind("servo", ("ids", "for_s", "value"), rule)
+
+
 _LINE: Final = _Kind("line", ("ids", "for_s", "probability"))
 _SERVO: Final = _Kind("servo", ("ids", "for_s"))
+_ONCE: Final = _Kind("servo", ("ids",))
 _CAMERA: Final = _Kind("camera", ("eye", "for_s"))
 _IMAGE: Final = _Kind("camera", ("eye", "for_s", "probability"))
-_SERVO_VALUE_KEYS: Final = ("ids", "for_s", "value")
 
 _KINDS: Final = {
-    "bad-crc": _LINE,
-    "short": _LINE,
+    **dict.fromkeys(("bad-crc", "short"), _LINE),
     "late": _Kind("line", (*_LINE.keys, "value"), _DELAY, 0.012),
-    "lost": _LINE,
-    "doubled": _LINE,
-    "overload": _Kind("servo", ("ids",)),
-    "reboot": _Kind("servo", ("ids",)),
-    "voltage": _Kind("servo", _SERVO_VALUE_KEYS, _VOLTAGE),
-    "temperature": _Kind("servo", _SERVO_VALUE_KEYS, _TEMPERATURE),
-    "load": _Kind("servo", _SERVO_VALUE_KEYS, _LOAD),
+    **dict.fromkeys(("lost", "doubled"), _LINE),
+    **dict.fromkeys(("overload", "reboot"), _ONCE),
+    "voltage": _valued((lambda x: 0.0 <= x <= 60.0, "V, 0 to 60")),
+    "temperature": _valued((lambda x: 0.0 <= x <= 255.0, "degrees Celsius, 0 to 255")),
+    "load": _valued((lambda x: -100.0 <= x <= 100.0, "percent of the greatest load, -100 to 100")),
     **dict.fromkeys(
         ("silent", "frozen", "stuck", "wrong-way", "blind", "blind-told", "inverted"), _SERVO
     ),
-    "goal-scale": _Kind("servo", _SERVO_VALUE_KEYS, _SCALE),
-    "speed-scale": _Kind("servo", _SERVO_VALUE_KEYS, _SCALE),
+    **dict.fromkeys(
+        ("goal-scale", "speed-scale"),
+        _valued((lambda x: 0.1 <= abs(x) <= 10.0, "a ratio, 0.1 to 10 in size")),
+    ),
     "unplug": _Kind("cable", ()),
 }
 """Faults of servos, line and cable by name."""
@@ -129,10 +128,6 @@ class Fault:
     at_s: float = 0.0
     """Time of its beginning in a script, s after torque was switched on."""
 
-    def affects(self, eye: int) -> bool:
-        """True if this fault of a camera affects an eye, 0 for left."""
-        return self.eye in (_BOTH_EYES, EYE_NAMES[eye])
-
     def to_plain(self) -> dict[str, Any]:
         """Plain values for `parse_fault`, without servos and times; for faults of cameras."""
         keys = [key for key in _CAMERA_KINDS[self.what].keys if key != "for_s"]
@@ -142,11 +137,7 @@ class Fault:
 def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, timed: bool) -> Fault:
     """Make a fault from plain values, from JSON or TOML.
 
-    Args:
-        values: a mapping.
-        ids: ids of the existing servos; a fault that names none affects all of them.
-        path: name of the fault in messages.
-        timed: True if it gives the time of its beginning, `at_s`.
+    One that names no `ids` affects all of these; one that is `timed` gives its beginning, `at_s`.
 
     Raises:
         HeadFileError: a key or value is unknown, missing or impossible.
@@ -190,8 +181,7 @@ def load_faults(path: Path, ids: Collection[int]) -> tuple[Fault, ...]:
         tables = Table(document, "")
         listed = tables.take("fault", "tables [[fault]]")
         tables.close()
-        if not isinstance(listed, list):
-            raise HeadFileError("fault", listed, "tables [[fault]]")
+        tables.expect(isinstance(listed, list), "fault", listed, "tables [[fault]]")
         return tuple(
             parse_fault(values, ids, f"fault[{i}]", timed=True) for i, values in enumerate(listed)
         )
@@ -261,21 +251,19 @@ class ActiveFaults:
             return
         if fault.what in ("overload", "reboot"):
             for servo in self._servos:
-                if servo.id in fault.ids and fault.what == "overload":
-                    servo.set_hardware_errors(LOAD_ERROR)
-                elif servo.id in fault.ids:
+                if servo.id not in fault.ids:
+                    continue
+                if fault.what == "reboot":
                     servo.reboot()
+                else:
+                    servo.set_hardware_errors(LOAD_ERROR)
             return
         self._on.append((now_s + fault.for_s, fault))
         self._apply()
 
     def advance_to(self, now_s: float) -> None:
         """Begin and end the faults that are due; the servos have to be advanced to this time."""
-        for end_s, fault in self._on:
-            if end_s <= now_s:
-                _tell(fault, "ends")
-        self._on = [one for one in self._on if one[0] > now_s]
-        self._apply()
+        self._end([one for one in self._on if one[0] > now_s])
         while self._script_s is not None and self._script:
             if self._script_s + self._script[0].at_s > now_s:
                 break
@@ -283,9 +271,13 @@ class ActiveFaults:
 
     def clear(self) -> None:
         """End all active faults; those that happen once, and a pulled cable, stay."""
-        for _, fault in self._on:
-            _tell(fault, "ends")
-        self._on.clear()
+        self._end([])
+
+    def _end(self, left: list[tuple[float, Fault]]) -> None:
+        for one in self._on:
+            if one not in left:
+                _tell(one[1], "ends")
+        self._on = left
         self._apply()
 
     def _apply(self) -> None:
@@ -357,7 +349,8 @@ class CameraFaults:
         return new
 
     def _of(self, eye: int, what: str) -> list[Fault]:
-        return [fault for fault in self._on if fault.what == what and fault.affects(eye)]
+        eyes = (_BOTH_EYES, EYE_NAMES[eye])
+        return [fault for fault in self._on if fault.what == what and fault.eye in eyes]
 
     def _falls(self, eye: int, what: str) -> bool:
         return any(self._rng.random() < fault.probability for fault in self._of(eye, what))

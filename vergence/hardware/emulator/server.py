@@ -10,16 +10,14 @@ one. The object's only key is
     turn                        put joints at angles, see `WorldClient.turn`
     streams                     set the URL of the cameras' streams
     fault, clear                begin a fault (see `parse_fault`), and end all: {"time": s}
-    unplug                      pull the cable of the line
     rest                        {"since": s}, see `World.rest_report`
-    record                      see `World.motion_since_last_call`
 
 Times are those of the monotonic clock.
 
 The views of both eyes are drawn, and streamed as MJPEG over HTTP, by a process of its own, so that
-drawing does not delay the answers of the servos. Both cameras expose at a constant rate, on their
-own clock; the right one may be late by a constant time, as with two unsynchronised cameras. An
-image is sent a latency and a random jitter after mid-exposure, in the order of exposure.
+drawing does not delay the servos' answers. Both cameras expose at a constant rate; the right one
+may be late by a constant time, as with two unsynchronised cameras. An image is sent a latency and a
+random jitter after mid-exposure, in the order of exposure.
 """
 
 import heapq
@@ -74,7 +72,6 @@ _REQUEST_ERRORS: Final = (
     ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError,
     ConfigurationError,
 )  # fmt: skip
-"""Errors that an invalid request raises."""
 
 
 def baud_rate_of(fd: int) -> int:
@@ -150,8 +147,6 @@ class EmulatorServer:
             os.write(self._line, heapq.heappop(self._due)[2])
 
     def _answer_line(self) -> None:
-        if self._line < 0:  # unplugged by a request of the same round
-            return
         data, rate = os.read(self._line, _MAX_READ_BYTES), baud_rate_of(self._line)
         for packet in self._parser.feed(data):
             now_s = self._clock()
@@ -205,8 +200,6 @@ class EmulatorServer:
             return {"times": list(self._exposed_s)}
         if "rest" in request:
             return world.rest_report(float(request["rest"]["since"]), now_s)
-        if "record" in request:
-            return world.motion_since_last_call(now_s)
         if "fault" in request:
             world.begin_fault(parse_fault(request["fault"], world.ids, timed=False), now_s)
             return {"time": now_s}
@@ -219,8 +212,6 @@ class EmulatorServer:
             world.start_target_motion(float(request["begin"]))
         elif "turn" in request:
             world.turn(request["turn"], now_s)
-        elif "unplug" in request:
-            self._unplug()
         elif "streams" in request:
             self.streams = str(request["streams"])
         else:
@@ -284,15 +275,7 @@ class _Stream:
 
 
 class EmulatedCameras:
-    """Draws the images of both eyes and publishes them.
-
-    Args:
-        world: source of the joint angles and the target position.
-        views: renderer of the images.
-        config: gives the jitter, the right camera's delay and the seed.
-        frame_rate_hz: frame rate, Hz.
-        latency_s: latency from mid-exposure to the sending of the image, s.
-    """
+    """Draws the images of both eyes at a frame rate, Hz, and publishes them a latency later, s."""
 
     def __init__(
         self,
@@ -312,14 +295,9 @@ class EmulatedCameras:
         """Draw both eyes' present images, without faults; fetch the active faults."""
         state = self._world.ask({"expose": None})
         self._faults.set_active(parse_fault(plain, (), timed=False) for plain in state["faults"])
-        images = self._views.draw(
-            np.array(state["positions"]),
-            np.array(state["velocities"]),
-            np.array(state["target"]),
-            self._rng,
-            np.array(state["target_velocity"]),
-            state["target_axes"],
-        )
+        keys = ("positions", "velocities", "target", "target_velocity")
+        q, v, target, moves = (np.array(state[key]) for key in keys)
+        images = self._views.draw(q, v, target, self._rng, moves, state["target_axes"])
         for image in images:
             # a plain background would make successive images identical, as no sensor does
             corner = image[-_NOISE_EDGE_PX:, :_NOISE_EDGE_PX]
@@ -469,7 +447,7 @@ def emulate(
     should_stop: Callable[[], bool] = lambda: False,
     model_errors: ModelErrors | None = None,
 ) -> None:
-    """Emulate a head until `should_stop` returns True, or Ctrl-C.
+    """Emulate a head until `should_stop`, which is polled, returns True, or Ctrl-C.
 
     Args:
         config: its configuration.
@@ -486,28 +464,29 @@ def emulate(
     if model_errors:
         # the same draw as `GazeTask`'s with this seed for its model's
         true = head.perturbed(np.random.default_rng(config.seed), model_errors)
-    board = None if config.board is None else parse_sized_board(config.board)
-    scene = None
+    board = T_0_T = scene = None
+    if config.board is not None:
+        board = parse_sized_board(config.board)
+        T_0_T = tilted_board_pose(head, board, config.board_distance_m)
     if config.scene is not None or config.wall is not None:
         scene = parse_scene(config.scene or "ball", str(config.wall) if config.wall else None)
-    T_0_T = None if board is None else tilted_board_pose(head, board, config.board_distance_m)
     world = World(true, np.asarray(config.target_mm) / 1000.0, config, config.seed, T_0_T)
     if config.faults is not None:
         world.faults.schedule(load_faults(config.faults, world.ids))
     server = EmulatorServer(world)
     latency_s = head.timing.latency_s if config.latency_s is None else config.latency_s
     shown = (head_to_toml(true), config, head.timing.frame_rate_hz, latency_s, scene)
-    process = multiprocessing.get_context("spawn").Process(
-        target=run_streams, args=(*shown, server.address), daemon=True
-    )
+    spawn = multiprocessing.get_context("spawn")
+    process = spawn.Process(target=run_streams, args=(*shown, server.address), daemon=True)
     process.start()
     try:
         server.serve(lambda: bool(server.streams) or not process.is_alive())
         if server.streams:
             target = str(board or make_planar_target("tag")) if scene is None else scene.target
             source = absolute_source(config.head)
-            values = hardware_config_values(source, head.digest, world, server, target)
-            on_config_ready(toml_text(values))
+            on_config_ready(
+                toml_text(hardware_config_values(source, head.digest, world, server, target))
+            )
             server.serve(lambda: should_stop() or not process.is_alive())
         if not should_stop() and not process.is_alive():
             raise HardwareError("emulate: the process of the cameras has ended")

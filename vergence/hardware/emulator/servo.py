@@ -8,9 +8,8 @@ lasts until a reboot; until then torque cannot be switched on. A reboot takes no
 position is reported within one turn again, as the encoder is absolute within one turn only.
 
 Not emulated, and refused with an error: other modes and the reverse bit of DRIVE_MODE. Gain
-registers have no effect. A servo without friction and gravity moves by the package's joint law, and
-comes to rest with its lag when it loses torque; friction, gravity, a blind encoder or an inverted
-motor need the motor's own loop, see `Motor`.
+registers have no effect. A servo moves by the package's joint law, and comes to rest with its lag
+when it loses torque; friction, gravity, a blind encoder or an inverted motor need `Motor`.
 """
 
 from array import array
@@ -89,12 +88,6 @@ class ControlTable:
                 self.set(register, value)
         self.bytes[_MEASUREMENT_ADDRESSES] = measured
 
-    def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Error number and bytes of the answer to a read instruction."""
-        if not 0 < length <= _MAX_READ_BYTES or address + length > _TABLE_END:
-            return ErrorNumber.DATA_RANGE, b""
-        return 0, bytes(self.bytes[address : address + length])
-
     def refusal(self, address: int, data: bytes) -> int:
         """Error number of an instruction to write these bytes; 0 for none."""
         end = address + len(data)
@@ -125,8 +118,7 @@ class ControlTable:
         # the servo's own settings limit its goals
         mode = self.get(table.OPERATING_MODE)
         if register in _LIMITS:
-            most = self.get(_LIMITS[register])
-            least = -most
+            least, most = -self.get(_LIMITS[register]), self.get(_LIMITS[register])
         elif register == table.GOAL_POSITION and mode == table.POSITION_MODE:
             least, most = self.get(table.MIN_POSITION_LIMIT), self.get(table.MAX_POSITION_LIMIT)
         elif register == table.GOAL_POSITION and mode == table.EXTENDED_POSITION_MODE:
@@ -251,11 +243,8 @@ class MotionTrace:
     def samples_since(self, time_s: float) -> list[MotionSample]:
         """Samples from a time on, the first one interpolated at that time."""
         first = bisect_right(self._columns[0], time_s)
-        begin = max(first - 1, 0)
-        samples = [
-            MotionSample(*row)
-            for row in zip(*(column[begin:] for column in self._columns), strict=True)
-        ]
+        columns = (column[max(first - 1, 0) :] for column in self._columns)
+        samples = [MotionSample(*row) for row in zip(*columns, strict=True)]
         if first > 0 and len(samples) > 1:
             before, after = samples[:2]
             share = (time_s - before.time_s) / (after.time_s - before.time_s)
@@ -267,28 +256,21 @@ class MotionTrace:
         return samples
 
 
-def rest_start_and_top_speed(
-    traces: Iterable[MotionTrace], time_s: float
-) -> tuple[float | None, float]:
-    """Start of the present rest of all joints, and their greatest speed since a time.
-
-    The earliest time, from `time_s` on, after which no joint was faster than `REST_RAD_S`, or None
-    if one still is.
-    """
-    begun_s, fastest = [time_s], 0.0
+def rest_start_s(traces: Iterable[MotionTrace], time_s: float) -> float | None:
+    """Time from `time_s` on after which no joint was faster than `REST_RAD_S`; None if one is."""
+    begun_s = [time_s]
     for trace in traces:
         samples = trace.samples_since(time_s)
-        speeds = [abs(sample.velocity_rad_s) for sample in samples]
-        fastest = max([fastest, *speeds])
-        last = next((i for i in reversed(range(len(speeds))) if speeds[i] > REST_RAD_S), None)
-        if last == len(speeds) - 1:
-            begun_s.append(inf)
-        elif last is not None:
-            share = (speeds[last] - REST_RAD_S) / (speeds[last] - speeds[last + 1])
-            turned_s = samples[last].time_s
-            begun_s.append(turned_s + share * (samples[last + 1].time_s - turned_s))
-    rested_s = max(begun_s)
-    return None if rested_s == inf else rested_s, fastest
+        fast = [i for i, one in enumerate(samples) if abs(one.velocity_rad_s) > REST_RAD_S]
+        if not fast:
+            continue
+        if fast[-1] == len(samples) - 1:
+            return None
+        last, after = samples[fast[-1] : fast[-1] + 2]
+        speed, slower = abs(last.velocity_rad_s), abs(after.velocity_rad_s)
+        share = (speed - REST_RAD_S) / (speed - slower)
+        begun_s.append(last.time_s + share * (after.time_s - last.time_s))
+    return max(begun_s)
 
 
 POSITION_GAIN: Final = 20.0
@@ -312,14 +294,14 @@ _GOAL_REGISTERS: Final = (table.GOAL_PWM, table.GOAL_VELOCITY, table.GOAL_POSITI
 _follow = getattr(follow_joint, "py_func", follow_joint)
 
 
-class EmulatedServo:
+class EmulatedServo(ControlTable):
     """One servo and the joint that it moves.
 
-    Angles are the joint's, rad: the servo's position in ticks is
-    `zero_ticks + sign gear_ratio angle / TICK_RAD + HOMING_OFFSET`. `q` and `v` are the shaft's
-    angle and velocity, whose past `trace` has; for `friction` and `gravity` see `Motor`. The
-    encoder is on the shaft, which pushes the joint at the ends of the backlash. What it reports is
-    `feedback_latency_s` old, its speed behind a low-pass filter.
+    The servo's position in ticks is `zero_ticks + sign gear_ratio angle / TICK_RAD +
+    HOMING_OFFSET`. `q` and `v` are the shaft's angle, rad, and velocity, whose past `trace` has;
+    for `friction` and `gravity` see `Motor`. The encoder is on the shaft, which pushes the joint at
+    the ends of the backlash. What it reports is `feedback_latency_s` old, its speed behind a
+    low-pass filter.
 
     Raises:
         ConfigurationError: a lag that is not positive.
@@ -335,11 +317,11 @@ class EmulatedServo:
     ) -> None:  # fmt: skip
         if not lag_s > 0.0:
             raise ConfigurationError(f"servo.lag_s: expected more than 0, got {lag_s}")
+        super().__init__(id)
         self.lag_s, self.acceleration = lag_s, acceleration
-        self.lower, self.upper = lower, upper
-        self.zero_ticks, self.speed_filter_s = zero_ticks, speed_filter_s
+        self.lower, self.upper, self.zero_ticks = lower, upper, zero_ticks
+        self.speed_filter_s, self.feedback_latency_s = speed_filter_s, feedback_latency_s
         self.speed_gain, self.backlash_rad = speed_gain, backlash_rad
-        self.feedback_latency_s = feedback_latency_s
         self.q = self._joint = position_rad
         self.v = 0.0
         self.watchdog_trips = 0
@@ -363,7 +345,6 @@ class EmulatedServo:
         self._at_s: float | None = None  # None until time begins
         self.fed_s = 0.0  # time of the last instruction packet for any servo
         self._tripped = False
-        self.memory = ControlTable(id)
         self._hold()
         self._report()
 
@@ -382,14 +363,6 @@ class EmulatedServo:
     def baud_rate(self) -> int:
         """Baud rate at which it receives and answers, bit/s."""
         return table.BAUD_RATES[self.get(table.BAUD_RATE)]
-
-    def get(self, register: Register) -> int:
-        """Value of a register."""
-        return self.memory.get(register)
-
-    def set(self, register: Register, value: int) -> None:
-        """Set a register, without checks of locks and ranges."""
-        self.memory.set(register, value)
 
     def set_hardware_errors(self, errors: int) -> None:
         """Set hardware errors until a reboot; those in SHUTDOWN switch the torque off."""
@@ -433,14 +406,16 @@ class EmulatedServo:
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Error number and bytes of the answer to a read instruction."""
         self._report()
-        return self.memory.read(address, length)
+        if not 0 < length <= _MAX_READ_BYTES or address + length > _TABLE_END:
+            return ErrorNumber.DATA_RANGE, b""
+        return 0, bytes(self.bytes[address : address + length])
 
     def write(self, address: int, data: bytes) -> int:
         """Execute a write instruction; on an error, return its number and write nothing."""
-        if error := self.memory.refusal(address, data) or self._refusal(address, data):
+        if error := self.refusal(address, data) or self._refusal(address, data):
             return error
         before = self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)
-        self.memory.bytes[address : address + len(data)] = data
+        self.bytes[address : address + len(data)] = data
         if written_value(table.BUS_WATCHDOG, address, data) is not None:
             # the value is 0, as others are refused while tripped
             self._tripped = self._tripped and self.trip_needs_torque_cycle
@@ -452,7 +427,7 @@ class EmulatedServo:
 
     def reboot(self) -> None:
         """Reboot: only the EEPROM and the measurements keep their values."""
-        self.memory.reboot()
+        super().reboot()
         self._tripped = False
         ticks = self._ticks(self.q) - self.get(table.HOMING_OFFSET)
         self._turn_ticks += ticks - ticks % table.TICKS_PER_TURN
@@ -593,9 +568,8 @@ class EmulatedServo:
         if written_value(table.TORQUE_ENABLE, address, data) and self._is_shut_down():
             # by the manual only a reboot ends a shutdown; the error number here is a guess
             return ErrorNumber.RESULT_FAIL
-        if self._tripped:
-            goals = any(written_value(goal, address, data) is not None for goal in _GOAL_REGISTERS)
-            if goals or written_value(table.BUS_WATCHDOG, address, data):
-                # by the manual a tripped watchdog answers goals with a range error
-                return ErrorNumber.DATA_RANGE
+        goals = any(written_value(goal, address, data) is not None for goal in _GOAL_REGISTERS)
+        if self._tripped and (goals or written_value(table.BUS_WATCHDOG, address, data)):
+            # by the manual a tripped watchdog answers goals with a range error
+            return ErrorNumber.DATA_RANGE
         return 0

@@ -1,8 +1,7 @@
 """The world of an emulated head: its servos on their line, their faults, and the target before it.
 
 Joints move by the package's joint law, computed on demand and exactly: each request first advances
-them to the present, in pieces between the instants at which faults begin and end. Nothing here
-reads a clock or does I/O.
+them to the present, in pieces between the instants at which faults begin and end.
 
 Servos with the same id answer at the same time. On the line a 0 overrides a 1, so what arrives is
 the AND of their bytes: it stays intact if all send the same, as to a ping, and else is damaged. A
@@ -35,7 +34,7 @@ from vergence.hardware.dynamixel.packets import (
 )
 from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.faults import ActiveFaults, Fault
-from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo, rest_start_and_top_speed
+from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo, rest_start_s
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.models.ruler import ServoModel, find_servo_model
@@ -91,9 +90,11 @@ class ServoLine:
         present = [servo for servo in hearing if not servo.silent]
         for servo in present:
             servo.fed_s = now_s
-        if packet.instruction == Instruction.SYNC_READ:
-            return _overlapping(_sync_read(present, packet))
-        if packet.instruction == Instruction.SYNC_WRITE:
+        if packet.instruction in (Instruction.SYNC_READ, Instruction.SYNC_WRITE):
+            if packet.id != BROADCAST or len(packet.params) < 4:
+                return []
+            if packet.instruction == Instruction.SYNC_READ:
+                return _overlapping(_sync_read(present, packet))
             _sync_write(present, packet)
             return []
         answers = []
@@ -111,29 +112,30 @@ def _obeys(servo: EmulatedServo, id: int) -> bool:
 
 
 def _overlapping(answers: Iterable[TimedAnswer]) -> list[TimedAnswer]:
-    """Answers as they arrive, in the order of their ids' first ones."""
+    """Answers as they arrive, in the order of their ids' first ones.
+
+    Of answers that are sent at once the AND arrives: after its end one leaves the line at 1.
+    """
     by_id: dict[int, list[TimedAnswer]] = {}
     for answer in answers:
         by_id.setdefault(answer.id, []).append(answer)
-    return [same[0] if len(same) == 1 else _anded(same) for same in by_id.values()]
-
-
-def _anded(answers: list[TimedAnswer]) -> TimedAnswer:
-    """What arrives of answers that are sent at once: after its end one leaves the line at 1."""
-    columns = zip_longest(*(one.data for one in answers), fillvalue=0xFF)
-    data = bytes(reduce(and_, column) for column in columns)
-    return TimedAnswer(answers[0].id, max(one.return_delay_s for one in answers), data)
+    arriving = []
+    for id, same in by_id.items():
+        columns = zip_longest(*(one.data for one in same), fillvalue=0xFF)
+        data = bytes(reduce(and_, column) for column in columns)
+        arriving.append(TimedAnswer(id, max(one.return_delay_s for one in same), data))
+    return arriving
 
 
 def _execute(servo: EmulatedServo, packet: Packet) -> TimedAnswer | None:
     """Execute an instruction on one servo; answer it if the servo's return level asks for it."""
-    id, params = servo.id, packet.params
+    id, params = servo.id, packet.params  # it answers with the id that it has before a write
     least_level = _RETURN_LEVELS.get(packet.instruction, 2)
     quiet = servo.get(table.STATUS_RETURN_LEVEL) < least_level
     data, error, busy_s = b"", 0, 0.0
     match packet.instruction:
         case Instruction.PING:
-            data = bytes(servo.memory.bytes[0:2]) + bytes(servo.memory.bytes[6:7])
+            data = bytes(servo.bytes[0:2] + servo.bytes[6:7])
         case Instruction.READ if len(params) == 4:
             error, data = servo.read(_number(params, 0), _number(params, 2))
         case Instruction.WRITE if len(params) >= 2:
@@ -152,19 +154,14 @@ def _execute(servo: EmulatedServo, packet: Packet) -> TimedAnswer | None:
 
 
 def _sync_read(servos: list[EmulatedServo], packet: Packet) -> Iterator[TimedAnswer]:
-    if packet.id != BROADCAST or len(packet.params) < 4:
-        return
-    address, length = _number(packet.params, 0), _number(packet.params, 2)
     for id in packet.params[4:]:
         for servo in servos:
             if servo.id == id and servo.get(table.STATUS_RETURN_LEVEL) >= 1:
-                error, data = servo.read(address, length)
+                error, data = servo.read(_number(packet.params, 0), _number(packet.params, 2))
                 yield _status(servo, id, data, error)
 
 
 def _sync_write(servos: list[EmulatedServo], packet: Packet) -> None:
-    if packet.id != BROADCAST or len(packet.params) < 4:
-        return
     address, length = _number(packet.params, 0), _number(packet.params, 2)
     for at in range(4, len(packet.params) - length, length + 1):
         for servo in servos:
@@ -322,7 +319,6 @@ class World:
         self._answer_latency_s = config.answer_latency_s
         self._commands: deque[tuple[float, Packet]] = deque()
         self._rng = np.random.default_rng(seed)
-        self._told_s = -np.inf
         self._motion = motion_rows(point, before=point)
         self._begun_s = np.inf
         self._T_0_N = head.base_pose(head.rest())
@@ -402,25 +398,9 @@ class World:
         self.faults.clear()
 
     def rest_report(self, since_s: float, now_s: float) -> dict[str, Any]:
-        """Start of the present rest, `rested_s`, and `fastest`, see `rest_start_and_top_speed`."""
+        """Start of the present rest, `rested_s`, see `rest_start_s`."""
         self.advance_to(now_s)
-        traces = [servo.trace for servo in self.line.servos]
-        rested_s, fastest = rest_start_and_top_speed(traces, since_s)
-        return {"rested_s": rested_s, "fastest": fastest}
-
-    def motion_since_last_call(self, now_s: float) -> dict[str, Any]:
-        """`times`, `positions` and `velocities` of each servo's shaft since the last call.
-
-        They are told by the joint's name, from the last 20 s or more, at least every 2 ms while the
-        velocity changes.
-        """
-        self.advance_to(now_s)
-        since_s, self._told_s = self._told_s, now_s
-        keys = ("times", "positions", "velocities")
-        return {
-            name: dict(zip(keys, zip(*one.trace.samples_since(since_s), strict=True), strict=True))
-            for name, one in self.servos.items()
-        }
+        return {"rested_s": rest_start_s([one.trace for one in self.line.servos], since_s)}
 
     def _joints(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(7,) joint angles, (7,) motor angles of neck and actuators, and (7,) motor speeds."""
