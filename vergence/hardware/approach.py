@@ -49,21 +49,7 @@ def drive_to_start(
     supervisor: Supervisor,
     move: Move,
 ) -> float:
-    """Check that all joints follow, and drive them to the start of a trial.
-
-    Args:
-        goal: (7,) angles of neck and actuators, rad.
-        config: the hardware configuration.
-        angles: see `drive_to`.
-        supervisor: source of the proved joints and of the forbidden posture in the way.
-        move: see `Move`.
-
-    Returns:
-        Time at which they came to rest, on the clock of `move`, s.
-
-    Raises:
-        HardwareError: a trial must not begin there, or the joints do not get there; see `move`.
-    """
+    """Check that joints follow, drive to a start, (7,) rad; return the time of rest there, s."""
     goal = np.clip(goal, angles.lower, angles.upper)
     entered = find_containing_posture(config.safety.forbidden, goal)
     if entered is not None:

@@ -260,12 +260,7 @@ class HeadEyes:
         self._settings = ExitStack()
 
     def open(self, idle: Callable[[], None]) -> None:
-        """Open both cameras, and call `idle`, which sleeps a little, until images come in pace.
-
-        Raises:
-            HardwareError: a camera gives no images.
-            ConfigurationError: a camera cannot be opened.
-        """
+        """Open both cameras, and call `idle`, which sleeps a little, until images come in pace."""
         head = self._config.head
         self.search = HeadSearch(self._target, head, head.timing.frame_s)
         rng = np.random.default_rng(0)
@@ -374,12 +369,7 @@ _CELL_PX: Final = 8.0
 
 
 def compile_loop_kernels(head: HeadModel, target: GazeTarget) -> None:
-    """Call every kernel of the loop once, on images with the target and on one without.
-
-    Args:
-        head: the model of the head.
-        target: the target that the cameras detect.
-    """
+    """Call every kernel of the loop once, on images with the target and on one without."""
     q, still = head.rest(), np.zeros(7)
     pixels_at_common_time(head, head.cameras.principal, np.stack([q, q]), q)
     if not isinstance(target, PlanarTarget | TagFamily):

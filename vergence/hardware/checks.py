@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -30,20 +30,7 @@ _WARM_UP_S: Final = 0.5
 """Time after the first image in which buffers empty and the exposure settles, s (chosen)."""
 
 
-class CaptureDevice(Protocol):
-    """The part of `cv2.VideoCapture` that the checks use."""
-
-    def grab(self) -> bool:
-        """Wait for the next image; False if there is none."""
-
-    def retrieve(self) -> tuple[bool, Any]:
-        """Decode the image that was grabbed last."""
-
-    def get(self, propId: int) -> float:
-        """Read a setting back."""
-
-    def release(self) -> None:
-        """Close the camera."""
+CaptureDevice = Any  # a `cv2.VideoCapture`, or what stands for one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -398,11 +385,7 @@ class CheckedPart:
 
 
 def raise_errors(findings: Iterable[Finding]) -> list[Finding]:
-    """Raise an error if a finding is one; return the warnings otherwise.
-
-    Raises:
-        ChecksFailedError: a finding is an error; it holds the warnings too.
-    """
+    """Raise an error if a finding is one; return the warnings otherwise."""
     findings = list(findings)
     if not all(finding.warning for finding in findings):
         raise ChecksFailedError(findings)

@@ -271,7 +271,8 @@ def read_bus(table: Table, head: HeadModel | None, path: str) -> BusConfig:
 def _own_bus(table: Table, kind: str, path: str) -> BusConfig:
     entry = EntryPoint.of(kind, "bus.kind")
     folder = Path(path).parent.absolute()
-    if (folder / entry.module).is_file():  # beside the configuration, as a head file may be
+    beside = (entry.module, f"{entry.module.replace('.', '/')}.py")
+    if any((folder / one).is_file() for one in beside):  # as a head file may be
         entry = replace(entry, folder=folder)
     found = entry.load()
     missing = sorted(getattr(found, "__abstractmethods__", ()))

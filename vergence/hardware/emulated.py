@@ -23,11 +23,7 @@ _AHEAD_M: Final = 1.0
 
 
 class EmulatedScene(Scene):
-    """The world of an emulated head.
-
-    Args:
-        config: the emulated head.
-    """
+    """The world of an emulated head."""
 
     def __init__(self, config: HardwareConfig) -> None:
         self.places_targets = config.places_targets

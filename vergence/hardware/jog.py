@@ -70,11 +70,7 @@ class Jogger:
         self._clock, self._sleep = clock, sleep
 
     def position(self, name: str) -> float:
-        """Present angle of a servo's shaft, rad.
-
-        Raises:
-            HardwareError: it does not answer; the other methods raise it too.
-        """
+        """Present angle of a servo's shaft, rad."""
         place = list(self.servos).index(name)
         for _ in range(_READS):
             reading = self._bus.read()
@@ -91,18 +87,9 @@ class Jogger:
         return float(angles.angles[self.servos[name].slot])
 
     def step(self, name: str, signed_step_rad: float) -> float:
-        """Turn a joint by some angle and let it rest there, with torque.
+        """Turn a joint by at most `MOST_STEP_RAD`, and let it rest there; return its rotation, rad.
 
-        Args:
-            name: the joint.
-            signed_step_rad: signed step, rad, up to `MOST_STEP_RAD` in size.
-
-        Returns:
-            Measured rotation, rad.
-
-        Raises:
-            HardwareError: it does not follow, does not come to rest or does not answer. It has lost
-                its torque, as far as the line allows: a command of zero might not stop it.
+        One that does not follow has lost its torque, as a command of zero might not stop it.
         """
         servo, own = self.servos[name], self._own(name)
         armed = False
@@ -145,11 +132,7 @@ class Jogger:
         self._bus.release(self._own(name))
 
     def _rest(self, servo: ServoConfig, own: BoolArray) -> bool:
-        """Stop the servo, with the watchdog off, as it would trip before the next step.
-
-        Returns:
-            True if the joint turned on, and has lost its torque.
-        """
+        """Stop the servo and leave it; True if it turned on, and has lost its torque."""
         moves = False
         with suppress(HardwareError):
             self._bus.stop()

@@ -57,21 +57,7 @@ class Scene:
 class Robot:
     """Servos, eyes and supervisor of one head.
 
-    Args:
-        config: the hardware configuration.
-        log: receives all events; None for no log.
-        moves: True if the servos move; if False they are only read, never written to.
-        view_check: True to check the view before the first trial.
-        clock: a monotonic clock, s.
-        sleep: waits for some seconds.
-
-    Attributes:
-        eyes: both eyes, closed until `open`.
-        history: joint angles by time.
-        supervisor: the supervisor; `fault` of it is kept until `release`.
-        scene: what stands before the head.
-        target: what the eyes look for.
-        named: True once somebody has named a point to look at.
+    With `moves` false its servos are only read. `named` is True once somebody has named a point.
     """
 
     def __init__(
@@ -122,13 +108,7 @@ class Robot:
             )
 
     def open(self) -> None:
-        """Compile the functions of the loop, open the servos and the cameras, and check both.
-
-        Raises:
-            ChecksFailedError: something is wrong with servos or cameras; it lists all problems.
-            HardwareError: a camera gives no images, or the head has been stopped.
-            ConfigurationError: a camera cannot be opened.
-        """
+        """Compile the functions of the loop, open the servos and the cameras, and check both."""
         self.refuse_fault()
         if self._drive is not None:
             return
@@ -252,15 +232,7 @@ class Robot:
         return self._clock()
 
     def exercise(self, velocities: Iterable[FloatArray]) -> None:
-        """Move the joints, one command per period, as far as safe; then brake.
-
-        Args:
-            velocities: requested velocities, (7,) each, rad/s; each is drawn just before it is
-                sent.
-
-        Raises:
-            HardwareError: the head has been stopped, or stops.
-        """
+        """Move by (7,) rad/s in each period, drawn just before it, as far as safe; then brake."""
         self.refuse_fault()
         try:
             for requested in velocities:
@@ -272,13 +244,9 @@ class Robot:
             raise
 
     def come_to(self, positions: FloatArray) -> float:
-        """Switch torque on, and drive the joints to a start, (7,) rad; check the view at the first.
+        """Switch torque on and drive to a start, (7,) rad; return the time of rest there, s.
 
-        Returns:
-            Time of rest there, s.
-
-        Raises:
-            HardwareError: they do not get there, or the view contradicts the configuration.
+        At the first start the view is checked.
         """
         self.drive.brake()
         try:
@@ -380,16 +348,7 @@ class Robot:
         return now_s
 
     def step(self, requested: FloatArray, visible: bool, goals: FloatArray) -> SearchedPair | None:
-        """Hold a policy's command for a period, as far as it is safe; return its newest images.
-
-        Args:
-            requested: (7,) velocities, rad/s.
-            visible: True if the target is visible to an eye.
-            goals: (4,) angles at which the eye joints look at the target, rad; nan if unknown.
-
-        Raises:
-            HardwareError: something is wrong; the caller has to call `stop`.
-        """
+        """Hold a policy's command for a period, as far as it is safe; return its newest images."""
         trial = RunningTrial(
             images_received_s=self.eyes.newest_s,
             target_visible=visible,
@@ -449,15 +408,7 @@ class RobotLooker:
         self._robot.open()
 
     def look(self, q: FloatArray) -> BoardView:
-        """Bring the head to rest near some joint angles and detect the board once.
-
-        Args:
-            q: (7,) joint angles, rad; clipped to the servos' limits.
-
-        Raises:
-            HardwareError: the head has been stopped, does not get there or does not come to rest,
-                or gives no images.
-        """
+        """Bring the head to rest near some joint angles and detect the board once."""
         robot = self._robot
         robot.open()
         robot.come_to(q)

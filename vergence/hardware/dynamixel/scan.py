@@ -100,18 +100,7 @@ def scan_for_servos(
     broadcast_wait_per_id_s: float = _WAIT_PER_ID_S,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> ScanResult:
-    """Ping for servos at each baud rate.
-
-    Args:
-        port: device file of the line.
-        baud_rates: baud rates, bit/s.
-        single_ping_ids: ids to ping one by one; None pings all at once.
-        broadcast_wait_per_id_s: wait per id if all are pinged at once, s.
-        progress: progress callback, called with the fraction that is done.
-
-    Raises:
-        HardwareError: the line is gone.
-    """
+    """Ping for servos at each baud rate."""
     found: list[FoundServo] = []
     left_out: dict[int, str] = {}
     equal: list[tuple[int, int]] = []
