@@ -154,7 +154,10 @@ class Servos(ABC):
 
     @abstractmethod
     def send(self, speeds: FloatArray) -> FloatArray:
-        """Send speeds of the shafts, rad/s, to servos with torque; return what they got."""
+        """Send speeds of the shafts, rad/s, to servos with torque; return what they got.
+
+        A bus whose servos round speeds off should add what it rounded off to the next ones.
+        """
 
     @abstractmethod
     def stop(self) -> None:
