@@ -220,15 +220,13 @@ class ActiveFaults:
         ]
         self._on: list[tuple[float, Fault]] = []  # with their end times, s
         self._script: list[Fault] = []
-        self._script_s: float | None = None  # None until the script begins
+        self._script_s = inf  # until the script begins
 
     @property
     def due_s(self) -> float:
         """Time at which the next fault begins or ends by itself, s; inf for none."""
-        ends = min((end_s for end_s, _ in self._on), default=inf)
-        if self._script_s is None or not self._script:
-            return ends
-        return min(ends, self._script_s + self._script[0].at_s)
+        ends_s = [end_s for end_s, _ in self._on]
+        return min([*ends_s, *(self._script_s + one.at_s for one in self._script)], default=inf)
 
     def active_on(self, place: Place) -> list[Fault]:
         """Active faults of one kind of part, in the order in which they began."""
@@ -240,8 +238,7 @@ class ActiveFaults:
 
     def start_script(self, now_s: float) -> None:
         """Start the script's time; a second call does nothing."""
-        if self._script_s is None:
-            self._script_s = now_s
+        self._script_s = min(self._script_s, now_s)
 
     def begin(self, fault: Fault, now_s: float) -> None:
         """Begin a fault."""
@@ -264,9 +261,7 @@ class ActiveFaults:
     def advance_to(self, now_s: float) -> None:
         """Begin and end the faults that are due; the servos have to be advanced to this time."""
         self._end([one for one in self._on if one[0] > now_s])
-        while self._script_s is not None and self._script:
-            if self._script_s + self._script[0].at_s > now_s:
-                break
+        while self._script and self._script_s + self._script[0].at_s <= now_s:
             self.begin(self._script.pop(0), now_s)
 
     def clear(self) -> None:
