@@ -277,23 +277,18 @@ class ActiveFaults:
 
     def _apply(self) -> None:
         for servo, healthy in zip(self._servos, self._healthy, strict=True):
-            own = {fault.what: fault for fault in self.active_on("servo") if servo.id in fault.ids}
-            servo.silent = "silent" in own
-            servo.stuck = "stuck" in own
+            faults = [fault for fault in self.active_on("servo") if servo.id in fault.ids]
+            own = {fault.what: fault.value for fault in faults}
+            servo.silent, servo.stuck = "silent" in own, "stuck" in own
             servo.blind = "blind" in own or "blind-told" in own
             servo.inverted = "inverted" in own
-            servo.goal_scale = -1.0 if "wrong-way" in own else _value(own, "goal-scale")
-            servo.speed_scale = _value(own, "speed-scale")
+            servo.goal_scale = -1.0 if "wrong-way" in own else own.get("goal-scale", 1.0)
+            servo.speed_scale = own.get("speed-scale", 1.0)
             servo.freeze("frozen" in own or servo.blind)
             if "blind-told" in own:
                 servo.set_hardware_errors(ENCODER_ERROR)
             for name, (register, units) in _FAULT_REGISTERS.items():
-                measured = round(own[name].value * units) if name in own else healthy[name]
-                servo.set(register, measured)
-
-
-def _value(faults: dict[str, Fault], name: str) -> float:
-    return faults[name].value if name in faults else 1.0
+                servo.set(register, round(own[name] * units) if name in own else healthy[name])
 
 
 def _tell(fault: Fault, what: str) -> None:
