@@ -89,12 +89,9 @@ class Turn(NamedTuple):
     """Motion of one joint between two postures."""
 
     servo: ServoConfig
-    commanded_rad: float
-    """Integral of the commands."""
-    reported_rad: float
-    """Integral of the reported speeds."""
-    moved_rad: float
-    """Change of the reported angle."""
+    commanded_rad: float  # integral of the commands
+    reported_rad: float  # integral of the reported speeds
+    moved_rad: float  # change of the reported angle
 
 
 class _Explanation(NamedTuple):
@@ -148,12 +145,9 @@ def turn_each_joint(
 ) -> "ViewCheck":
     """Turn one joint after the other by 0.1 rad, and look at the target between the turns.
 
-    Args:
-        config: the robot.
-        angles: present angles of the servos; `send_velocities` updates them.
-        send_velocities: see `vergence.hardware.approach.drive_to`, which it is for.
-        last_sent: returns the (7,) velocities that it sent last, rad/s.
-        look: returns `pixels` and `ranges_m` of a `Posture` from images after a time, s.
+    `send_velocities` updates the present `angles` of the servos, see `drive_to`; `last_sent` is
+    what it sent last, (7,) rad/s. `look` returns `pixels` and `ranges_m` of a `Posture` from images
+    after a time, s.
     """
     check = ViewCheck(config)
     rows: list[tuple[float, FloatArray, FloatArray]] = []
@@ -208,11 +202,8 @@ class ViewCheck:
     ) -> list[Finding]:
         """All mistakes, each named by its likeliest cause; empty for a head that is right.
 
-        Args:
-            target: the target that was looked for.
-            images: the newest images of both eyes, in which it is looked for mirrored if it was
-                not found; None if there are none.
-            remark: why an eye has not seen it, in words, see `Plant.remark`; empty if unknown.
+        In the newest images of both eyes, if there are any, a target that was not found is looked
+        for mirrored; `remark` says why an eye has not seen it, see `Plant.remark`.
         """
         last = {turn.servo.name: turn for turn in self.turns}
         found = [finding for turn in last.values() for finding in _speeds(turn)]

@@ -85,22 +85,10 @@ def fit_latency_and_backlash(
 ) -> ImageFit | None:
     """Fit latency, jitter and backlash to one eye's pixels while the actuator of a slot turned.
 
-    The target's position and the image scale are estimated too.
-
-    Args:
-        head: the model.
-        eye: 0 for left.
-        slot: index in the 7-element command.
-        fixed_actuator_angles: (7,) angles of neck and actuators, for those that did not turn, rad.
-        angle_at: the actuator's angle by time.
-        path_span_s: first and last time of the path, s.
-        received_s: (k,) times of receipt of the images, s.
-        pixels: (k, 2) raw pixels of the target; nan if it was not found.
-        target_guess: (3,) approximate position of the target, in N, m.
-        blur_speed_rad_s: speed above which images are blurred and left out, rad/s.
-
-    Returns:
-        The robust least-squares fit; None if too few images show the target.
+    The target's position and the image scale are estimated too. The other actuators stood at fixed
+    angles, (7,) rad; `angle_at` is this one's by time, within a span, s. The images were received
+    at (k,) times, s, with (k, 2) raw pixels of the target, nan if it was not found, about a point
+    in N, m; above the blur speed they are left out. None if too few of them show the target.
     """
     grid = np.arange(*path_span_s, _TIME_STEP_S)
     angles = angle_at(grid)

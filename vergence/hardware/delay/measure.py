@@ -82,22 +82,14 @@ def drift_corrected_velocities(
 class LoopSamples(NamedTuple):
     """Commands and measurements of one eye, with times of one monotonic clock."""
 
-    sent_s: FloatArray
-    """(n,) times at which commands were sent, s."""
-    sent_velocities: FloatArray
-    """(n,) commands of the actuator that turned, rad/s."""
-    joints_s: FloatArray
-    """(m,) times of the joint measurements, s."""
-    joint_angles: FloatArray
-    """(m, 7) joint angles, rad."""
-    joint_time_sigma_s: float
-    """Standard deviation of a common error of `joints_s`, s."""
-    received_s: FloatArray
-    """(k,) times of receipt of the images, s."""
-    pixels: FloatArray
-    """(k, 2) raw pixels of the target; nan if it was not found."""
-    detection_time_s: FloatArray
-    """(k,) times from an image's receipt to the end of its detection, s."""
+    sent_s: FloatArray  # (n,) times at which commands were sent, s
+    sent_velocities: FloatArray  # (n,) commands of the actuator that turned, rad/s
+    joints_s: FloatArray  # (m,) times of the joint measurements, s
+    joint_angles: FloatArray  # (m, 7) joint angles, rad
+    joint_time_sigma_s: float  # standard deviation of a common error of `joints_s`, s
+    received_s: FloatArray  # (k,) times of receipt of the images, s
+    pixels: FloatArray  # (k, 2) raw pixels of the target; nan if it was not found
+    detection_time_s: FloatArray  # (k,) times from an image's receipt to its detection, s
 
 
 class SampleCollector(RobotListener):

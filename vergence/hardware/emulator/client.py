@@ -74,13 +74,11 @@ class WorldClient:
         self.ask({"begin": now_s})
 
     def turn(self, angles: Mapping[str, float]) -> None:
-        """Put emulated joints at angles at once, as a bus of one's own that moves them does.
+        """Put emulated joints at angles at once, rad by the actuator's name.
 
-        The emulated cameras show them there. Servos without torque stay; with torque they go on to
-        their goals. An angle beyond an end stop becomes that stop's.
-
-        Args:
-            angles: angles by the actuator's name, rad; other joints stay as they are.
+        It is for a bus of one's own that moves them; the emulated cameras show them there. Servos
+        without torque stay; with torque they go on to their goals. An angle beyond an end stop
+        becomes that stop's.
 
         Raises:
             HardwareError: no such actuator, or an angle that is not finite.

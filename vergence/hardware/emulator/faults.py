@@ -220,15 +220,13 @@ class ActiveFaults:
         ]
         self._on: list[tuple[float, Fault]] = []  # with their end times, s
         self._script: list[Fault] = []
-        self._script_s: float | None = None  # None until the script begins
+        self._script_s = inf  # until the script begins
 
     @property
     def due_s(self) -> float:
         """Time at which the next fault begins or ends by itself, s; inf for none."""
-        ends = min((end_s for end_s, _ in self._on), default=inf)
-        if self._script_s is None or not self._script:
-            return ends
-        return min(ends, self._script_s + self._script[0].at_s)
+        ends_s = [end_s for end_s, _ in self._on]
+        return min([*ends_s, *(self._script_s + one.at_s for one in self._script)], default=inf)
 
     def active_on(self, place: Place) -> list[Fault]:
         """Active faults of one kind of part, in the order in which they began."""
@@ -240,8 +238,7 @@ class ActiveFaults:
 
     def start_script(self, now_s: float) -> None:
         """Start the script's time; a second call does nothing."""
-        if self._script_s is None:
-            self._script_s = now_s
+        self._script_s = min(self._script_s, now_s)
 
     def begin(self, fault: Fault, now_s: float) -> None:
         """Begin a fault."""
@@ -264,9 +261,7 @@ class ActiveFaults:
     def advance_to(self, now_s: float) -> None:
         """Begin and end the faults that are due; the servos have to be advanced to this time."""
         self._end([one for one in self._on if one[0] > now_s])
-        while self._script_s is not None and self._script:
-            if self._script_s + self._script[0].at_s > now_s:
-                break
+        while self._script and self._script_s + self._script[0].at_s <= now_s:
             self.begin(self._script.pop(0), now_s)
 
     def clear(self) -> None:
@@ -282,23 +277,18 @@ class ActiveFaults:
 
     def _apply(self) -> None:
         for servo, healthy in zip(self._servos, self._healthy, strict=True):
-            own = {fault.what: fault for fault in self.active_on("servo") if servo.id in fault.ids}
-            servo.silent = "silent" in own
-            servo.stuck = "stuck" in own
+            faults = [fault for fault in self.active_on("servo") if servo.id in fault.ids]
+            own = {fault.what: fault.value for fault in faults}
+            servo.silent, servo.stuck = "silent" in own, "stuck" in own
             servo.blind = "blind" in own or "blind-told" in own
             servo.inverted = "inverted" in own
-            servo.goal_scale = -1.0 if "wrong-way" in own else _value(own, "goal-scale")
-            servo.speed_scale = _value(own, "speed-scale")
+            servo.goal_scale = -1.0 if "wrong-way" in own else own.get("goal-scale", 1.0)
+            servo.speed_scale = own.get("speed-scale", 1.0)
             servo.freeze("frozen" in own or servo.blind)
             if "blind-told" in own:
                 servo.set_hardware_errors(ENCODER_ERROR)
             for name, (register, units) in _FAULT_REGISTERS.items():
-                measured = round(own[name].value * units) if name in own else healthy[name]
-                servo.set(register, measured)
-
-
-def _value(faults: dict[str, Fault], name: str) -> float:
-    return faults[name].value if name in faults else 1.0
+                servo.set(register, round(own[name] * units) if name in own else healthy[name])
 
 
 def _tell(fault: Fault, what: str) -> None:

@@ -85,10 +85,8 @@ def baud_rate_of(fd: int) -> int:
 class EmulatorServer:
     """Serves an emulated head: servos on a pseudo-terminal, and its world over TCP.
 
-    Attributes:
-        port: the device file of the line's other end.
-        address: HOST:PORT for connections.
-        streams: URL of the streams, set by the cameras' process; empty until then.
+    `port` is the device file of the line's other end, `address` HOST:PORT for connections, and
+    `streams` the URL of the streams, which the cameras' process sets.
 
     Raises:
         ConfigurationError: the system has no pseudo-terminals.
@@ -449,12 +447,9 @@ def emulate(
 ) -> None:
     """Emulate a head until `should_stop`, which is polled, returns True, or Ctrl-C.
 
-    Args:
-        config: its configuration.
-        on_config_ready: called once when servos and streams answer, with the text of the hardware
-            configuration that a controller needs, see `vergence.hardware.config`.
-        should_stop: polled several times a second.
-        model_errors: model errors of the head that really moves and sees, against that of `config`.
+    When servos and streams answer, `on_config_ready` is called with the text of a configuration for
+    controllers, see `vergence.hardware.config`. The head that really moves and sees differs from
+    that of `config` by `model_errors`.
 
     Raises:
         VergenceError: there is no such head or board, or the script of faults is invalid.

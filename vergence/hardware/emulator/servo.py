@@ -325,11 +325,9 @@ class EmulatedServo(ControlTable):
         self.q = self._joint = position_rad
         self.v = 0.0
         self.watchdog_trips = 0
-        self.silent = False  # answers and obeys nothing, as with its plug pulled out
-        self.stuck = False
-        self.frozen = False  # reports one position while the joint moves
-        self.blind = False  # the inner loop sees no motion either; with `frozen`
-        self.inverted = False  # the motor turns against its drive
+        # faults, see `vergence.hardware.emulator.faults.Fault`
+        self.silent = self.stuck = self.frozen = self.inverted = False
+        self.blind = False  # the inner loop sees no motion; with `frozen`
         self.goal_scale = 1.0  # the joint's speed by its goal
         self.speed_scale = 1.0  # reported by true speed
         self.eeprom_write_s = 0.0  # time for writing to its EEPROM before it answers

@@ -264,12 +264,8 @@ class World:
     Its servos are set up for a controller: 1 Mb/s, no return delay, and a shutdown that a broken
     encoder brings about too.
 
-    Args:
-        head: the head that really moves.
-        point: (3,) target position until another one is placed, in N, m.
-        config: gives the servos and the adapter of their line.
-        seed: random seed of the faults of answers.
-        T_0_T: (4, 4) pose of a fixed board in place of a target, m; None for a target.
+    `point` is the target's (3,) position until another one is placed, in N, m, `T_0_T` the (4, 4)
+    pose of a fixed board in its place, m; `seed` is that of the faults of answers.
     """
 
     def __init__(

@@ -73,14 +73,9 @@ _RUNAWAY_PAST_S: Final = (0.12, 0.3)
 
 
 class FollowingMonitor:
-    """Detector of joints that do not follow their commands.
+    """Detector of joints that do not follow their commands, up to speeds of (7,) rad/s.
 
-    Args:
-        head: the model of the head.
-        max_speed: (7,) greatest speeds, rad/s.
-
-    Attributes:
-        proved_joints: (7,) True for joints that have been seen to follow their commands.
+    `proved_joints` is True for those that have been seen to follow.
     """
 
     def __init__(self, head: HeadModel, max_speed: FloatArray) -> None:
@@ -111,16 +106,10 @@ class FollowingMonitor:
     ) -> FloatArray:
         """Compare the joints' motion with their commands.
 
-        Args:
-            now_s: present time, s.
-            angles: (7,) measured angles, rad.
-            command: (7,) commanded velocities since the last call, rad/s.
-            expected: (7,) velocities expected by the model of the joints since then, rad/s.
-            fresh: (7,) True for angles that are measured, not extrapolated.
-
-        Returns:
-            (7,) error of each joint's motion beyond the range of all delays and the tolerance, rad;
-            0 or less for a joint that follows.
+        All arrays are (7,): measured angles, rad; the commanded velocities since the last call, and
+        those that the model of the joints expects, rad/s; True for angles that are measured, not
+        extrapolated. Returned is the error of each joint's motion beyond the range of all delays
+        and the tolerance, rad; 0 or less for a joint that follows.
         """
         passed_s = 0.0 if self._last_s is None else now_s - self._last_s
         if passed_s > max(_MOST_PAUSE_S, 3.0 * self._period_s):

@@ -162,19 +162,8 @@ _SIDES: Final = np.array([[1.0], [-1.0]])
 class JointMotionLimiter:
     """Model of the joints, and the limits of their commands.
 
-    Args:
-        head: the model of the head.
-        lower: (7,) least angles, rad.
-        upper: (7,) greatest angles, rad.
-        config: bounds of the robot.
-        last_s: time for which the last command may act if the sender dies, until the servos' own
-            watchdog stops them, s.
-
-    Attributes:
-        speed: (7,) speeds of the model, rad/s.
-        max_speed: (7,) greatest speeds, rad/s.
-        acceleration: (7,) greatest accelerations, rad/s^2.
-        limiting_posture: name of the forbidden posture that limited the last command, or empty.
+    `lower` and `upper` are the joints' (7,) bounds, rad. The last command may act for `last_s` if
+    the sender dies, until the servos' own watchdog stops them.
     """
 
     def __init__(
@@ -189,6 +178,7 @@ class JointMotionLimiter:
         self._period_s = period_s = timing.period_s
         self._ends = np.stack([upper - _LIMIT_MARGIN_RAD, -(lower + _LIMIT_MARGIN_RAD)])
         self._forbidden = config.forbidden
+        # (7,) greatest speeds, rad/s, and accelerations, rad/s^2
         self.max_speed = np.minimum(actuation.velocity, config.speed_rad_s)
         own = np.clip(actuation.acceleration, _MIN_ACCELERATION_RAD_S2, _MAX_ACCELERATION_RAD_S2)
         self.acceleration = np.minimum(own, config.acceleration_rad_s2)
@@ -219,8 +209,8 @@ class JointMotionLimiter:
         decay = 1.0 - self._model_lag_fraction
         self._joints = list(zip(lag_s.tolist(), own.tolist(), decay.tolist(), strict=True))
         self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late)
-        self.speed = np.zeros(7)
-        self.limiting_posture = ""
+        self.speed = np.zeros(7)  # of the model, rad/s
+        self.limiting_posture = ""  # the forbidden one that limited the last command
 
     def advance(self, command: FloatArray) -> None:
         """Advance the model by a period in which a command, (7,) rad/s, was sent."""
@@ -238,16 +228,9 @@ class JointMotionLimiter:
         requested: FloatArray,
         max_speed: FloatArray,
     ) -> FloatArray:
-        """Limit requested velocities so that the joints can still brake inside their bounds.
+        """Limit requested velocities, (7,) rad/s, so that the joints can brake inside their bounds.
 
-        Args:
-            angles: (7,) present angles, rad.
-            measured_speeds: (7,) rad/s; the greater of these and the model's count.
-            requested: (7,) requested velocities, rad/s, finite or infinite.
-            max_speed: (7,) present greatest speeds, rad/s.
-
-        Returns:
-            (7,) commands, the nearest safe ones, rad/s.
+        The greater one of measured speeds and the model's counts. Requests may be infinite.
         """
         command = self._window(np.clip(requested, -max_speed, max_speed))
         unavoidable, speed = self._coast(measured_speeds)

@@ -126,27 +126,26 @@ _LATE_FRACTION: Final = 0.1
 class Verdict(Enum):
     """Verdict on the requested velocities."""
 
-    GO = "go"
-    """Send the requested velocities as far as the bounds allow."""
-    HOLD = "hold"
-    """Hold still until the target is visible again."""
-    SEARCH = "search"
-    """Search for the target."""
-    STOP = "stop"
-    """Rest until released."""
+    GO = "go"  # send them as far as the bounds allow
+    HOLD = "hold"  # hold still until the target is visible again
+    SEARCH = "search"  # search for the target
+    STOP = "stop"  # rest until released
 
 
 class RobotState(NamedTuple):
-    """Present state of the robot, the input of the supervisor."""
+    """Present state of the robot, the input of the supervisor.
+
+    Actuators are the neck's joints and the actuators of the eyes.
+    """
 
     now_s: float
     """Present time, s of a monotonic clock."""
     actuator_angles: FloatArray
-    """(7,) angles of the neck's joints and the actuators of the eyes, rad."""
+    """(7,) rad."""
     actuator_speeds: FloatArray
-    """(7,) measured speeds of these, rad/s."""
+    """(7,) measured, rad/s."""
     joint_angles: FloatArray
-    """(7,) joint angles, rad."""
+    """(7,) rad."""
     reading_age_s: FloatArray
     """(7,) time since each servo's last answer, during which its angle is extrapolated, s."""
     images_received_s: FloatArray | None
@@ -163,20 +162,9 @@ class RobotState(NamedTuple):
 class Supervisor:
     """Keeps a robot inside its bounds.
 
-    Args:
-        config: the bounds.
-        head: the model of the head.
-        lower: (7,) least angles of the joints of the neck and the actuators of the eyes, rad.
-        upper: (7,) greatest angles, rad.
-        names: indices into the 7-element command by name, for joints with a servo.
-        last_s: time for which the last command may act before the servos stop by themselves, s.
-        emulated: True for an emulated head, whose servos may themselves come late.
-
-    Attributes:
-        max_speed: (7,) greatest speeds of joints that have been seen to follow, rad/s.
-        verdict: verdict on the last requested velocities.
-        fault: reason of a stop in words; empty while there is none.
-        distrusted: (7,) True for joints that do not follow: a command of zero may not stop them.
+    `lower` and `upper` are (7,) bounds of the actuators, rad, `names` the slots of those with a
+    servo. The last command may act for `last_s` before the servos stop by themselves. An
+    `emulated` head's servos may themselves come late.
     """
 
     def __init__(
@@ -201,9 +189,10 @@ class Supervisor:
         self._fresh_s = _MAX_AGE_PERIODS * head.timing.period_s
         self._overrun_periods = round(_OVERRUN_WINDOW_S / head.timing.period_s)
         self.begin(np.nan)
-        self.max_speed = self._motion.max_speed
+        self.max_speed = self._motion.max_speed  # (7,) of joints seen to follow, rad/s
         self.verdict = Verdict.GO
-        self.fault = ""
+        self.fault = ""  # reason of a stop
+        # (7,) True for joints that do not follow: a command of zero may not stop them
         self.distrusted = np.zeros(7, dtype=np.bool_)
 
     def begin(self, now_s: float) -> None:
@@ -256,14 +245,9 @@ class Supervisor:
         )
 
     def command(self, state: RobotState, requested: FloatArray) -> FloatArray:
-        """Compute the command for the next period.
+        """Command for the next period, (7,) rad/s, for requested velocities of the actuators.
 
-        Args:
-            state: present state of the robot.
-            requested: (7,) requested velocities of the neck and the eyes' actuators, rad/s.
-
-        Returns:
-            (7,) command, rad/s; `verdict` and `fault` explain a difference from the request.
+        `verdict` and `fault` explain a difference.
         """
         if np.isnan(requested).any():
             self.stop("policy: expected numbers for a command, got nan")
