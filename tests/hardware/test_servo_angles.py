@@ -63,7 +63,8 @@ class Rig:
             servo.write(table.TORQUE_ENABLE.address, b"\1")
         self.servos = JointAngles(self.configs, head)
         self.bus, self.sent = DynamixelServos(self.configs, head, port=""), {}
-        self.bus._line = Mock(sync_write=lambda register, values: self.sent.update(values))
+        self.bus._line = Mock(sync_write=lambda _, values: self.sent.update(values), alerts=())
+        self.bus._line.sync_read.return_value = {}
         self.bus._limit_ticks[:], self.bus._torque[:] = limit_ticks, True
         self.now = 0.0
         self.line.advance_to(0.0)
