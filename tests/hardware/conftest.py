@@ -1,18 +1,10 @@
 """The served lines that the tests of the bus and of the servos share, and their idle core."""
 
 import os
-import sys
 import time
 from pathlib import Path
 
 import pytest
-
-# these need pseudo-terminals
-NEED = [
-    "test_checks.py", "dynamixel/test_bus.py", "emulator",
-    *(f"test_{one}.py" for one in ("health", "jog", "plant", "scan_bus")),
-]  # fmt: skip
-collect_ignore = NEED if sys.platform == "win32" else []
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.commands.test_failures import call
-from tests.hardware.desk import desk_config
 from tests.hardware.fakes import HEAD, blank
+from tests.hardware.line import desk_config
 from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.hardware import camera_checks

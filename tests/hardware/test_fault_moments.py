@@ -67,7 +67,7 @@ STOPS = {
 ELSEWHERE = {
     # their lines: test_robot_doc
     "answers of one lost", "answers late", "cable pulled", "voltage", "overload",
-    # with friction, and the way that they go: test_rest
+    # with friction, and the way that they go: test_drive
     "encoder blind", "encoder's fault bit", "motor inverted",
     # beyond no limit: test_drive
     "joint stuck",

@@ -6,8 +6,8 @@ import io
 import pytest
 
 from tests.commands.test_failures import call
-from tests.hardware.desk import desk_config, ready_servos, timeless_line
 from tests.hardware.fakes import FakeClock
+from tests.hardware.line import desk_config, ready_servos, timeless_line
 from tests.hardware.test_config import document
 from vergence.errors import HardwareError, UnreadableFileError
 from vergence.hardware.config import load_hardware, write_servos

@@ -1,21 +1,37 @@
-"""The plant of a real head: on a pseudo-terminal and threads of cameras, and in simulated time."""
+"""The plant of a real head, its environment, and an evaluation on it."""
 
 import dataclasses
 import gc
 import re
 
+import gymnasium
 import numpy as np
 import pytest
 
-from tests.hardware.desk import desk_config
+import vergence
 from tests.hardware.fakes import HEAD, LiveCapture, blank
-from tests.hardware.line import make_servo
+from tests.hardware.line import desk_config, make_servo
+from tests.hardware.test_config import document, load
+from tests.hardware.virtual import PORT, VirtualRobot, WatchedWorld
 from vergence import load_head
-from vergence.errors import ChecksFailedError, ConfigurationError, Finding, HardwareError
-from vergence.hardware import cameras
+from vergence.envs import task as gaze_task
+from vergence.errors import (
+    ChecksFailedError,
+    ConfigurationError,
+    Finding,
+    HardwareError,
+    UnreadableFileError,
+)
+from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
+from vergence.hardware import cameras, plant
 from vergence.hardware import robot as robot_module
+from vergence.hardware.config import load_hardware
 from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.servos import DynamixelServos
+from vergence.hardware.gaze import EPISODE_S, GazeHardwareEnv
 from vergence.hardware.plant import HardwarePlant
+from vergence.models.toml_table import toml_text
 
 PLACES = np.zeros(1, dtype=np.int64)
 STILL = np.zeros((1, 7))
@@ -182,3 +198,128 @@ def test_a_plant_that_nobody_holds_any_more_is_closed(robot):
     del robot.plant
     gc.collect()
     assert robot.registers(table.GOAL_VELOCITY) == [0] * 4
+
+
+@pytest.fixture
+def config(tmp_path, monkeypatch):
+    """A configuration of hardware that fails the test if it is opened."""
+
+    def opened(*_words):
+        pytest.fail("nothing may be opened before the first reset")
+
+    monkeypatch.setattr(DynamixelServos, "open", opened)
+    monkeypatch.setattr(cameras, "EyeThread", opened)
+    return load(tmp_path, document())
+
+
+def make(**options):
+    return gymnasium.make("vergence/GazeHardware-v0", **options)
+
+
+def test_it_needs_a_configuration():
+    with pytest.raises(ConfigurationError, match="config: expected the path of a TOML file"):
+        make()
+    with pytest.raises(UnreadableFileError, match=r"none\.toml: No such file"):
+        make(config="none.toml")
+
+
+def test_the_plant_is_given_by_the_configuration(config):
+    for option in ("plant", "plant_options"):
+        with pytest.raises(ConfigurationError, match=f"{option}: expected none with config"):
+            GazeHardwareEnv(config=config, **{option: {}})
+
+
+def test_another_head_is_refused_and_the_same_one_taken(config):
+    with pytest.raises(ConfigurationError, match=r"head: expected the head of .*robot\.toml"):
+        make(config=config, head="physical")
+    make(config=config, head="turrets").close()
+    make(config=config.path, head=vergence.load_head("turrets")).close()
+
+
+def test_spaces_and_plant_are_those_of_the_configured_head(config):
+    with GazeHardwareEnv(config=config) as env:
+        assert env.action_space.shape == (4,)
+        assert env.task.head.digest == config.head.digest
+        assert isinstance(env.task.plant, plant.HardwarePlant)
+        assert env.task.plant.config is config
+
+
+@pytest.fixture
+def in_view(monkeypatch):
+    """Robots on time, that always see the target straight ahead."""
+
+    def reset(self, _ids, positions):
+        self.reading.time_s[:] = 0.0
+        self.reading.positions[:] = self.reading.positions_at_exposure[:] = positions
+        return self.reading
+
+    def step(self, _command):
+        now = self.reading
+        now.time_s[:] += self.head.timing.period_s
+        now.frame[:] += 1
+        now.exposure_s[:] = now.time_s - self.head.timing.latency_s
+        now.received_s[:] = now.joints_s[:] = now.time_s
+        now.pixels[:], now.visible[:] = self.head.cameras.principal, True
+        return now
+
+    for method in (reset, step):
+        monkeypatch.setattr(plant.HardwarePlant, method.__name__, method)
+    monkeypatch.setattr(plant.HardwarePlant, "prepare", lambda _self: None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("options", "lasts_s"), [({}, EPISODE_S), ({"duration_s": 0.5}, 0.5)])
+def test_an_episode_lasts_as_long_as_it_is_told(config, in_view, options, lasts_s):
+    with GazeHardwareEnv(config=config, **options) as env:
+        env.reset(seed=0)
+        steps, over = 0, False
+        while not over:
+            _observation, _reward, lost, over, _info = env.step(np.zeros(4, np.float32))
+            assert not lost
+            steps += 1
+        assert steps * env.task.head.timing.period_s == pytest.approx(lasts_s)
+
+
+def test_a_length_that_is_none_is_refused(config):
+    with pytest.raises(ConfigurationError, match="duration_s"):
+        GazeHardwareEnv(config=config, duration_s=-1.0)
+
+
+@pytest.mark.slow
+def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path, monkeypatch):
+    make_simulated = gaze_task.make_plant
+    desk, run, ran, robots = tmp_path / "desk.toml", tmp_path / "run", [], []
+    values = document()
+    values["bus"] = {"port": PORT}
+    desk.write_text(toml_text(values))
+
+    def make_plant(name, head, num, log=None, **options):
+        if name != "hardware":
+            return make_simulated(name, head, num, **options)
+        world = WatchedWorld(head, np.array([0.05, -0.1, 1.0]), latency_s=head.timing.latency_s)
+        options = {"log": log, "view_check": False}
+        robots.append(VirtualRobot(monkeypatch, world, load_hardware(desk), plant_options=options))
+        return robots[-1].plant
+
+    def note(done, _total):
+        ran.append(done)
+        if ran == [0, 1]:
+            robots[-1].fault(what="unplug")
+
+    monkeypatch.setattr(gaze_task, "make_plant", make_plant)
+    config = EvaluateConfig(
+        controllers=("ibvs-tuned",), plants=("hardware",), hardware=desk, stage="still",
+        scenarios=("workspace",), episodes=2,
+    )  # fmt: skip
+    with pytest.raises(HardwareError, match="the serial line is gone"):
+        evaluate_on_robot(config, run, progress=note)
+    found = evaluate_on_robot(read_begun_config(run), run, progress=note, resume=True)
+    assert ran == [0, 1, 1, 2]
+    assert len(robots) == 2
+    trials = found.trials()
+    assert len(trials) == 2
+    assert (trials["settle_2px_s"] >= trials["bound_2px_s"]).all()
+    assert "hardware is a robot" in found.notes[-1]
+    desk.write_text(desk.read_text().replace("[cameras.left]", "[cameras.left]\nlatency_s = 0.01"))
+    with pytest.raises(ConfigurationError, match=r"resume: expected cameras of .*0\.01"):
+        evaluate_on_robot(read_begun_config(run), run, resume=True)

@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.hardware.desk import desk_config, ready_servos
 from tests.hardware.fakes import HEAD
-from tests.hardware.line import make_servo
+from tests.hardware.line import desk_config, make_servo, ready_servos
 from tests.hardware.test_camera_checks import Desk
 from tests.hardware.virtual import PORT as VIRTUAL_PORT
 from tests.hardware.virtual import VirtualRobot

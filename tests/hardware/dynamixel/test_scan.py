@@ -4,7 +4,7 @@ import pytest
 import serial
 
 from tests.commands.test_failures import call
-from tests.hardware.desk import ready_servos
+from tests.hardware.line import ready_servos
 from tests.naming import named
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel import scan as scanning
