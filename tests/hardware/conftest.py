@@ -24,12 +24,12 @@ def proved(request, monkeypatch):
 
 @pytest.fixture
 def serve():
-    from tests.hardware.line import served_line
+    from tests.hardware.line import ServedLine
 
     lines = []
 
     def start(servos, **options):
-        lines.append(served_line(servos, **options))
+        lines.append(ServedLine(servos, **options))
         return lines[-1]
 
     yield start

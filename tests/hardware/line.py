@@ -7,12 +7,12 @@ import select
 import threading
 import time
 import tty
-from types import SimpleNamespace
+
+import pytest
 
 from tests.hardware.fakes import robot_config
 from vergence.hardware.config import BusConfig
 from vergence.hardware.dynamixel import bus as bus_module
-from vergence.hardware.dynamixel import checks
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.server import baud_rate_of
@@ -33,8 +33,9 @@ def make_servo(id=1, **options):
 class ServedLine:
     """A `ServoLine` behind a serial port, with the servos' own delays."""
 
-    def __init__(self, line, echo=False, alter=lambda packet, answers: answers, hears_rate=False):
-        self.line, self.echo, self.alter, self.hears_rate = line, echo, alter, hears_rate
+    def __init__(self, servos, echo=False, alter=lambda packet, answers: answers, hears_rate=False):
+        self.line = ServoLine(servos)
+        self.echo, self.alter, self.hears_rate = echo, alter, hears_rate
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
@@ -77,11 +78,8 @@ class ServedLine:
                     os.write(self._master, out)
 
 
-def served_line(servos, **options):
-    return ServedLine(ServoLine(servos), **options)
-
-
 def ready_servos():
+    """Four servos that are set up as they should be, of two pan-tilt turrets on a desk."""
     return [make_servo(ident, lower=-3.2, upper=3.2) for ident in range(1, 5)]
 
 
@@ -92,13 +90,20 @@ def desk_config(port, baud_rate=1_000_000, **servo_values):
     return dataclasses.replace(config, servos=(first, *config.servos[1:]))
 
 
+def open_briefly(config):
+    """The open servos of a configuration, whose answers are waited for no longer than needed."""
+    opened = config.make_servos(time.monotonic)
+    opened.open()
+    opened._bus.single_timeout_s = 0.01
+    return opened
+
+
 class TimelessLine:
     """A serial line whose servos answer at once, by a clock of the test's own."""
 
-    port, baud = "/dev/ttyNONE", 1_000_000
+    port, baud = "/dev/null", 1_000_000  # one that is there
 
     def __init__(self, servos, clock):
-        self.servos = servos
         self._line, self._clock = ServoLine(servos), clock
         self._parser, self._waiting = PacketParser(), b""
 
@@ -121,8 +126,10 @@ class TimelessLine:
         pass
 
 
-def timeless_line(monkeypatch, servos, clock):
-    line = TimelessLine(servos, clock)
-    monkeypatch.setattr(bus_module, "SerialLine", lambda port, baud: line)
-    monkeypatch.setattr(checks, "os", SimpleNamespace(path=SimpleNamespace(exists=bool)))
-    return line
+def open_timeless(config, servos, clock):
+    """The open servos of a configuration, by emulated ones on a line without time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bus_module, "SerialLine", lambda _port, _baud: TimelessLine(servos, clock))
+        opened = config.make_servos(clock)
+        opened.open()
+    return opened

@@ -234,6 +234,18 @@ class VirtualRobot:
         start[0, 3] += left_pan_rad
         self.plant.reset(np.zeros(1, np.int64), start)
 
+    def step(self, speeds, count=1):
+        """Request speeds, rad/s, of one or all joints, for some periods; the last reading."""
+        for _ in range(count):
+            reading = self.plant.step(np.broadcast_to(np.asarray(speeds, float), (1, 7)))
+        return reading
+
+    def follow(self, command, seconds):
+        """Step commands by the time, s, for some seconds or until the robot is stopped."""
+        until_s = self.clock() + seconds
+        while self.clock() < until_s and not self.plant.fault:
+            self.plant.step(command(self.clock()))
+
     def fault(self, **request):
         fault = parse_fault(request, self.world.ids, timed=False)
         self.world.begin_fault(fault, self.clock())
