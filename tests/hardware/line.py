@@ -78,9 +78,9 @@ class ServedLine:
                     os.write(self._master, out)
 
 
-def ready_servos():
+def ready_servos(**options):
     """Four servos that are set up as they should be, of two pan-tilt turrets on a desk."""
-    return [make_servo(ident, lower=-3.2, upper=3.2) for ident in range(1, 5)]
+    return [make_servo(ident, lower=-3.2, upper=3.2, **options) for ident in range(1, 5)]
 
 
 def desk_config(port, baud_rate=1_000_000, **servo_values):

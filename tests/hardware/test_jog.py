@@ -7,12 +7,12 @@ import pytest
 
 from tests.commands.test_failures import call
 from tests.hardware.fakes import FakeClock
-from tests.hardware.line import desk_config, ready_servos, timeless_line
+from tests.hardware.line import TimelessLine, desk_config, open_timeless, ready_servos
 from tests.hardware.test_config import document
 from vergence.errors import HardwareError, UnreadableFileError
 from vergence.hardware.config import load_hardware, write_servos
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.servo import ENCODER_ERROR, Motor
+from vergence.hardware.emulator.servo import ENCODER_ERROR
 from vergence.hardware.jog import Jogger
 from vergence.models.toml_table import toml_text
 
@@ -20,17 +20,15 @@ from vergence.models.toml_table import toml_text
 class Desk:
     """Servos, a clock that passes as they move, and a jog of them."""
 
-    def __init__(self, monkeypatch, **servo_values):
-        self.clock, self.servos = FakeClock(), ready_servos()
-        line = timeless_line(monkeypatch, self.servos, self.clock)
+    def __init__(self, servos=None, **servo_values):
+        self.clock, self.servos = FakeClock(), servos or ready_servos()
         self.goals, self.meanwhile = [], lambda: None
-        config = desk_config(line.port, **servo_values)
-        servos = config.make_servos(self.clock)
-        servos.open()
-        self.jog = Jogger(config, servos, clock=self.clock, sleep=self.sleep)
+        config = desk_config(TimelessLine.port, **servo_values)
+        opened = open_timeless(config, self.servos, self.clock)
+        self.jog = Jogger(config, opened, clock=self.clock, sleep=self.sleep)
 
     def sleep(self, seconds):
-        self.goals.append([servo.get(table.GOAL_VELOCITY) for servo in self.servos])
+        self.goals.append(self.registers(table.GOAL_VELOCITY))
         self.meanwhile()
         self.clock.sleep(seconds)
 
@@ -39,8 +37,14 @@ class Desk:
 
 
 @pytest.fixture
-def desk(monkeypatch):
-    return Desk(monkeypatch)
+def desk():
+    return Desk()
+
+
+@pytest.fixture
+def pan(desk):
+    """The servo of the left pan, which is the first one."""
+    return desk.servos[0]
 
 
 @pytest.mark.parametrize("way_rad", [0.05, -0.3])
@@ -57,71 +61,70 @@ def test_a_step_turns_one_joint_by_its_way_and_leaves_it_at_rest(desk, way_rad):
     assert desk.registers(table.GOAL_VELOCITY) == [0, 0, 0, 0]
 
 
-def test_a_step_goes_at_a_tenth_of_the_joints_speed_with_the_watchdog_armed(desk):
+def test_a_step_goes_at_a_tenth_of_the_joints_speed_with_the_watchdog_armed(desk, pan):
     armed = []
-    desk.meanwhile = lambda: armed.append(desk.servos[0].get(table.BUS_WATCHDOG))
+    desk.meanwhile = lambda: armed.append(pan.get(table.BUS_WATCHDOG))
     desk.jog.step("left_pan", 0.4)
     assert set(armed) == {10}
     fastest = max(abs(goals[0]) for goals in desk.goals)
     assert fastest * table.TICK_RAD_S == pytest.approx(0.597, rel=0.03)
 
 
-def test_a_sign_and_a_gear_turn_the_servo_and_not_the_step(monkeypatch):
-    desk = Desk(monkeypatch, sign=-1, gear_ratio=0.5)
+def test_a_sign_and_a_gear_turn_the_servo_and_not_the_step():
+    desk = Desk(sign=-1, gear_ratio=0.5)
     desk.jog.step("left_pan", 0.2)
     desk.clock.sleep(1.0)
     # the emulated servo has no gear and turns with its joint
     assert desk.servos[0].q == pytest.approx(-0.1, rel=0.15)
 
 
-def test_steps_go_on_past_the_end_of_a_turn(desk):
-    desk.servos[0].zero_ticks = table.TICKS_PER_TURN - 10
+def test_steps_go_on_past_the_end_of_a_turn(desk, pan):
+    pan.zero_ticks = table.TICKS_PER_TURN - 10
     assert desk.jog.step("left_pan", 0.1) == pytest.approx(0.1, rel=0.15)
 
 
-def test_a_stuck_joint_is_stopped(desk):
-    desk.servos[0].lower = desk.servos[0].upper = 0.0
+def test_a_stuck_joint_is_stopped(desk, pan):
+    pan.lower = pan.upper = 0.0
     before_s = desk.clock.now
     with pytest.raises(HardwareError, match=r"left_pan: .*0\.050 rad, got 0\.000 rad: it is st"):
         desk.jog.step("left_pan", 0.05)
     assert desk.clock.now - before_s < 0.6
-    assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
+    assert pan.get(table.GOAL_VELOCITY) == 0
 
 
 @pytest.mark.parametrize("fault", ["blind", "inverted", "told"])
-def test_a_joint_that_a_goal_of_zero_does_not_stop_loses_its_torque(desk, fault):
-    servo = desk.servos[0]
-    servo._motor = Motor(lag_s=0.03, acceleration=80.0, max_speed=6.0)
-    servo.frozen = servo.blind = fault != "inverted"
-    servo.inverted = fault == "inverted"
+def test_a_joint_that_a_goal_of_zero_does_not_stop_loses_its_torque(fault):
+    desk = Desk(ready_servos(lag_s=0.03, acceleration=80.0))
+    pan = desk.servos[0]
+    pan.frozen = pan.blind = fault != "inverted"
+    pan.inverted = fault == "inverted"
     if fault == "told":
-        servo.set(table.SHUTDOWN, 52)
-        servo.set_hardware_errors(ENCODER_ERROR)
+        pan.set(table.SHUTDOWN, 52)
+        pan.set_hardware_errors(ENCODER_ERROR)
     with pytest.raises(HardwareError, match=r"its torque is off|without a fault"):
         desk.jog.step("left_pan", 0.3)
-    assert servo.get(table.TORQUE_ENABLE) == 0
+    assert pan.get(table.TORQUE_ENABLE) == 0
     desk.clock.sleep(1.0)
-    servo.advance_to(desk.clock.now)
-    assert abs(servo.q) < 0.5
-    assert servo.v == pytest.approx(0.0, abs=table.TICK_RAD_S)
+    pan.advance_to(desk.clock.now)
+    assert abs(pan.q) < 0.5
+    assert pan.v == pytest.approx(0.0, abs=table.TICK_RAD_S)
 
 
 @pytest.mark.parametrize(("by_rad", "said"), [(-0.03, "wrong way"), (0.3, "too far")])
-def test_a_joint_that_is_pushed_is_stopped(desk, by_rad, said):
-    servo = desk.servos[0]
-    desk.meanwhile = lambda: setattr(servo, "q", servo.q + by_rad)
+def test_a_joint_that_is_pushed_is_stopped(desk, pan, by_rad, said):
+    desk.meanwhile = lambda: setattr(pan, "q", pan.q + by_rad)
     with pytest.raises(HardwareError, match=said):
         desk.jog.step("left_pan", 0.1)
-    assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
+    assert pan.get(table.GOAL_VELOCITY) == 0
 
 
-def test_a_servo_that_falls_silent_is_named(desk):
-    desk.meanwhile = lambda: setattr(desk.servos[0], "silent", True)
+def test_a_servo_that_falls_silent_is_named(desk, pan):
+    desk.meanwhile = lambda: setattr(pan, "silent", True)
     with pytest.raises(HardwareError, match="left_pan: expected an answer of the id 1, got none"):
         desk.jog.step("left_pan", 0.1)
 
 
-def test_an_interrupted_step_leaves_the_joint_at_rest_with_torque(desk):
+def test_an_interrupted_step_leaves_the_joint_at_rest_with_torque(desk, pan):
     def interrupt():
         if len(desk.goals) == 3:
             raise KeyboardInterrupt
@@ -130,33 +133,33 @@ def test_an_interrupted_step_leaves_the_joint_at_rest_with_torque(desk):
     with pytest.raises(KeyboardInterrupt):
         desk.jog.step("left_pan", 0.4)
     assert desk.goals[2][0] > 0
-    assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
-    assert desk.servos[0].get(table.TORQUE_ENABLE) == 1
+    assert pan.get(table.GOAL_VELOCITY) == 0
+    assert pan.get(table.TORQUE_ENABLE) == 1
 
 
-def test_torque_in_another_mode_is_not_dropped(desk):
-    desk.servos[0].set(table.TORQUE_ENABLE, 1)
+def test_torque_in_another_mode_is_not_dropped(desk, pan):
+    pan.set(table.TORQUE_ENABLE, 1)
     with pytest.raises(HardwareError, match="hold the head"):
         desk.jog.step("left_pan", 0.05)
-    assert desk.servos[0].get(table.TORQUE_ENABLE) == 1
+    assert pan.get(table.TORQUE_ENABLE) == 1
 
 
-def test_a_watchdog_that_has_tripped_before_hinders_nothing(desk):
+def test_a_watchdog_that_has_tripped_before_hinders_nothing(desk, pan):
     desk.jog.step("left_pan", 0.05)
-    desk.servos[0].set(table.BUS_WATCHDOG, 5)
+    pan.set(table.BUS_WATCHDOG, 5)
     desk.clock.sleep(10.0)
     assert desk.jog.step("left_pan", 0.05) > 0.0
 
 
-def test_a_zero_is_the_present_posture_within_a_turn(desk):
-    desk.servos[0].q = 3.5
-    desk.servos[0].upper = 4.0
+def test_a_zero_is_the_present_posture_within_a_turn(desk, pan):
+    pan.q, pan.upper = 3.5, 4.0
     desk.jog.set_zero("left_pan")
     assert 0 <= desk.jog.servos["left_pan"].zero < table.TICKS_PER_TURN
     assert desk.jog.angle("left_pan") == pytest.approx(0.0, abs=1e-9)
 
 
-CONFIG = """\
+CONFIG = (
+    """\
 # my robot
 head = "turrets"    # two turrets
 [bus]
@@ -167,16 +170,22 @@ name = "left_pan"
 id = 1
 zero_ticks = 2_048  # measured
 sign = 1            # checked
-
-SERVOS[cameras]
+"""
+    + "".join(
+        f"""
+[[servos]]
+name = "{name}"
+id = {id}
+zero_ticks = 0x800
+sign = 1
+"""
+        for id, name in enumerate(("left_tilt", "right_pan", "right_tilt"), 2)
+    )
+    + """
+[cameras]
 left.source = 0
 right.source = 2
-""".replace(
-    "SERVOS",
-    "".join(
-        f'[[servos]]\nname = "{name}"\nid = {id}\nzero_ticks = 0x800\nsign = 1\n\n'
-        for id, name in enumerate(("left_tilt", "right_pan", "right_tilt"), 2)
-    ),
+"""
 )
 
 
