@@ -146,6 +146,7 @@ def test_a_slow_eeprom_is_waited_for(robot):
         servo.eeprom_write_s = 0.06
     robot.begin()
     assert robot.registers(table.OPERATING_MODE) == [table.VELOCITY_MODE] * 4
+    assert robot.plant.diagnostics()["missed_answers"] == 0
 
 
 @pytest.mark.slow
