@@ -37,6 +37,14 @@ def serve():
         line.close()
 
 
+@pytest.fixture
+def own():
+    """Four servos of the test's own, that are set up as they should be."""
+    from tests.hardware.line import ready_servos
+
+    return ready_servos()
+
+
 @pytest.fixture(autouse=True)
 def idle_core(request):
     """Tests of real time wait, for 20 s at most, until other work leaves them a core."""

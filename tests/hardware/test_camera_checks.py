@@ -50,18 +50,16 @@ class Desk:
 
 class FakeCamera:
     def __init__(self, desk, asked, values):
-        self._desk = desk
-        self._values = {"rate_hz": 30.0, "size": asked["size"] or (640, 480), "locked": 1}
-        self._values |= {"starves": False} | values
-        self._asked = asked
-        self._count = 0
+        usual = {"rate_hz": 30.0, "size": asked["size"] or (640, 480), "locked": 1}
+        usual |= {"set_hz": asked["frame_rate_hz"] or 30.0, "starves": False}
+        usual |= {name: asked[name] for name in ("pixel_format", "exposure_s")}
+        self._desk, self._values = desk, usual | values
         desk.open.append(self)
 
     def grab(self):
-        others = len(self._desk.open) - 1
-        rate = min(self._values["rate_hz"], self._desk.shared_hz / (others + 1))
-        rate *= not (others and self._values["starves"])
-        if rate <= 0.0:
+        count = len(self._desk.open)
+        rate = min(self._values["rate_hz"], self._desk.shared_hz / count)
+        if rate <= 0.0 or (count > 1 and self._values["starves"]):
             self._desk.clock.now += 10.0
             return False
         self._desk.clock.now += 1.0 / rate
@@ -72,13 +70,12 @@ class FakeCamera:
         return True, blank(HEAD)[:height, :width]
 
     def get(self, prop):
-        letters = self._values.get("pixel_format", self._asked["pixel_format"])
-        exposure_s = self._values.get("exposure_s", self._asked["exposure_s"]) or 0.0
+        letters = self._values["pixel_format"]
         return {
-            cv2.CAP_PROP_FPS: self._values.get("set_hz", self._asked["frame_rate_hz"] or 30.0),
+            cv2.CAP_PROP_FPS: self._values["set_hz"],
             cv2.CAP_PROP_FOURCC: float(cv2.VideoWriter.fourcc(*letters)) if letters else 0.0,
             cv2.CAP_PROP_AUTO_EXPOSURE: float(self._values["locked"]),
-            cv2.CAP_PROP_EXPOSURE: 1e4 * exposure_s,
+            cv2.CAP_PROP_EXPOSURE: 1e4 * (self._values["exposure_s"] or 0.0),
         }[prop]
 
     def release(self):
@@ -105,8 +102,8 @@ FOUND = [
 def test_a_camera_that_gives_something_else_is_one_finding():
     for values, said, warning in FOUND:
         with named(values):
-            _states, found = Desk(at0={}, at2=values).check(pixel_format="MJPG", exposure_s=0.008)
-            (finding,) = found
+            desk = Desk(at0={}, at2=values)
+            _states, (finding,) = desk.check(pixel_format="MJPG", exposure_s=0.008)
             assert finding.part == "cameras.right"
             assert said in finding.problem
             assert finding.cure
@@ -148,9 +145,8 @@ def test_the_command_shows_what_was_asked_and_what_came(tmp_path, capsys):
     film.release()
     assert call("check-cameras", path) == 0
     said = capsys.readouterr().out
-    assert "film.avi" in said
-    assert "64 x 48" in said
-    assert "rate measured" in said
+    for word in ("film.avi", "64 x 48", "rate measured"):
+        assert word in said
 
 
 def test_the_command_tells_errors_before_warnings_and_fails_by_errors_alone(monkeypatch, capsys):

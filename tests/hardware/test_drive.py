@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from benchmarks.faults import Mover
 from tests.hardware.fakes import HEAD
 from tests.hardware.virtual import LIMIT_RAD, VirtualRobot
+from tests.naming import refused
 from vergence.errors import HardwareError
 from vergence.hardware.drive import JointHistory
 from vergence.hardware.dynamixel import control_table as table
@@ -71,8 +72,7 @@ def test_joints_rested_before_the_readings_and_go_on_after_them_for_a_twentieth_
 
 def test_no_reading_is_no_angle():
     for ask in (lambda: JointHistory().at(0.0), lambda: JointHistory().newest()):
-        with pytest.raises(LookupError, match="no reading"):
-            ask()
+        refused("no reading", ask, error=LookupError)
 
 
 def test_a_reading_is_kept_as_it_was():
@@ -127,8 +127,7 @@ def test_what_goes_wrong_meanwhile_stops_the_head_and_not_the_thread(running, mo
     assert running.plant.fault == str(error)
     assert goals(running) == [0] * 4
     running.step(2.0)  # says so once
-    with pytest.raises(HardwareError, match="release it first"):
-        running.step(2.0)
+    refused("release it first", running.step, 2.0, error=HardwareError)
 
 
 def test_the_thread_ends_with_the_drive(running):
@@ -168,16 +167,14 @@ def test_who_has_not_begun_a_trial_may_not_step(running, monkeypatch):
     monkeypatch.setattr(DynamixelServos, "switch_on", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         running.begin()
-    with pytest.raises(HardwareError, match="expected a reset first"):
-        running.step(2.0)
+    refused("expected a reset first", running.step, 2.0, error=HardwareError)
 
 
 def test_a_child_process_leaves_the_servos_to_its_parent(running, monkeypatch):
     watchdogs, drive = running.registers(table.BUS_WATCHDOG), running.plant.robot.drive
     with monkeypatch.context() as child:
         child.setattr(os, "getpid", lambda: -1)
-        with pytest.raises(HardwareError, match="expected a reset first"):
-            drive.send(LEFT_PAN)
+        refused("expected a reset first", drive.send, LEFT_PAN, error=HardwareError)
         running.plant.close()
     assert running.registers(table.BUS_WATCHDOG) == watchdogs
 
@@ -238,8 +235,7 @@ def test_a_joint_at_its_middle_is_proved_before_it_is_driven_fast(robot):
 def test_an_overload_before_the_start_names_the_joint_and_what_to_do(robot):
     robot.plant.prepare()
     robot.fault(what="overload", ids=[2])
-    with pytest.raises(HardwareError, match=r"left_tilt: .* overload: .*; cure: hold the head"):
-        robot.begin()
+    refused(r"left_tilt: .* overload: .*; cure: hold the head", robot.begin, error=HardwareError)
 
 
 @pytest.mark.slow
@@ -313,8 +309,7 @@ def test_the_motion_that_proves_joints_finds_a_servo_that_zero_does_not_stop(fri
     frictional.plant.prepare()
     frictional.fault(what=what, ids=[1])
     since_s = frictional.clock()
-    with pytest.raises(HardwareError, match="left_pan"):
-        frictional.begin()
+    refused("left_pan", frictional.begin, error=HardwareError)
     assert left_pan(frictional).get(table.TORQUE_ENABLE) == 0
     assert travel_rad(frictional, since_s) < TRAVEL_RAD
 

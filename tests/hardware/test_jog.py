@@ -115,8 +115,7 @@ def test_a_joint_that_a_goal_of_zero_does_not_stop_loses_its_torque(fault):
 @pytest.mark.parametrize(("by_rad", "said"), [(-0.03, "wrong way"), (0.3, "too far")])
 def test_a_joint_that_is_pushed_is_stopped(desk, pan, by_rad, said):
     desk.meanwhile = lambda: setattr(pan, "q", pan.q + by_rad)
-    with pytest.raises(HardwareError, match=said):
-        desk.jog.step("left_pan", 0.1)
+    refused(said, desk.jog.step, "left_pan", 0.1, error=HardwareError)
     assert pan.get(table.GOAL_VELOCITY) == 0
 
 
@@ -215,11 +214,6 @@ def run(serve, path, monkeypatch, capsys):
         return call("jog", "--config", path), *capsys.readouterr()
 
     return of
-
-
-@pytest.fixture
-def own():
-    return ready_servos()
 
 
 def test_words_find_signs_and_zeros_and_write_them(run, own, path):

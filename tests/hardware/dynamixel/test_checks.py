@@ -43,11 +43,6 @@ def check(serve):
     return of
 
 
-@pytest.fixture
-def own():
-    return ready_servos()
-
-
 def test_servos_with_nothing_wrong_have_no_findings(check, own):
     assert check(own) == []
     own[1].set(table.VELOCITY_I_GAIN, 1920)  # stiffer is no weakness

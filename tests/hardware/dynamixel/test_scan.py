@@ -4,18 +4,12 @@ import pytest
 import serial
 
 from tests.commands.test_failures import call
-from tests.hardware.line import ready_servos
 from tests.naming import named
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel import scan as scanning
 from vergence.hardware.dynamixel.scan import ALL_BAUD_RATES, scan_for_servos
 
 QUICK = {"broadcast_wait_per_id_s": 1e-4, "baud_rates": (2_000_000, 1_000_000)}
-
-
-@pytest.fixture
-def own():
-    return ready_servos()
 
 
 @pytest.fixture

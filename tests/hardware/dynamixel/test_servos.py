@@ -7,6 +7,7 @@ import pytest
 
 from tests.hardware.fakes import HEAD
 from tests.hardware.virtual import VirtualRobot
+from tests.naming import refused
 from vergence.errors import HardwareError, VergenceWarning
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import ErrorNumber
@@ -106,8 +107,7 @@ def test_what_was_changed_is_put_back_if_another_servo_ends_the_start(robot, ser
     first.set(table.SHUTDOWN, FACTORY_SHUTDOWN)
     changed = watch_writes(first, monkeypatch)
     watch_writes(servo, monkeypatch, lambda _address: ErrorNumber.RESULT_FAIL)
-    with pytest.raises(HardwareError, match="servos: left_tilt: id 2"):
-        robot.begin()
+    refused("servos: left_tilt: id 2", robot.begin, error=HardwareError)
     robot.plant.close()
     assert (table.SHUTDOWN.address, 0b111100) in changed
     assert first.get(table.SHUTDOWN) == FACTORY_SHUTDOWN
@@ -118,8 +118,7 @@ def test_a_joint_that_moves_does_not_lose_its_torque(robot, factory):
     factory.set(table.GOAL_VELOCITY, 9)
     factory.blind = True  # it turns on at a goal of zero
     factory.v = 9 * table.TICK_RAD_S
-    with pytest.raises(HardwareError, match="left_tilt: expected a joint at rest"):
-        robot.begin()
+    refused("left_tilt: expected a joint at rest", robot.begin, error=HardwareError)
     assert (factory.get(table.SHUTDOWN), factory.get(table.TORQUE_ENABLE)) == (FACTORY_SHUTDOWN, 1)
 
 
