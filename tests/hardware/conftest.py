@@ -1,18 +1,10 @@
 """The served lines that the tests of the bus and of the servos share, and their idle core."""
 
 import os
-import sys
 import time
 from pathlib import Path
 
 import pytest
-
-# these need pseudo-terminals
-NEED = [
-    "test_checks.py", "dynamixel/test_bus.py", "emulator",
-    *(f"test_{one}.py" for one in ("health", "jog", "plant", "scan_bus")),
-]  # fmt: skip
-collect_ignore = NEED if sys.platform == "win32" else []
 
 
 @pytest.fixture
@@ -32,17 +24,25 @@ def proved(request, monkeypatch):
 
 @pytest.fixture
 def serve():
-    from tests.hardware.line import served_line
+    from tests.hardware.line import ServedLine
 
     lines = []
 
     def start(servos, **options):
-        lines.append(served_line(servos, **options))
+        lines.append(ServedLine(servos, **options))
         return lines[-1]
 
     yield start
     for line in lines:
         line.close()
+
+
+@pytest.fixture
+def own():
+    """Four servos of the test's own, that are set up as they should be."""
+    from tests.hardware.line import ready_servos
+
+    return ready_servos()
 
 
 @pytest.fixture(autouse=True)

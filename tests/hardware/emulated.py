@@ -3,12 +3,13 @@
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
 
-COMMAND = [sys.executable, "-m", "vergence", "emulate"]
+from vergence.hardware.config import load_hardware
+from vergence.hardware.emulator.client import WorldClient
 
 REAL_TIME = [
     pytest.mark.slow,
@@ -25,7 +26,7 @@ REAL_TIME = [
 def emulated(folder: Path, *options: str) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
     """Emulate a head while the block runs: the path of its configuration, and the process."""
     desk = folder / "desk.toml"
-    words = [*COMMAND, "--out", str(desk), *options]
+    words = [sys.executable, "-m", "vergence", "emulate", "--out", str(desk), *options]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
         try:
             said = ""
@@ -36,3 +37,8 @@ def emulated(folder: Path, *options: str) -> Iterator[tuple[Path, subprocess.Pop
             yield desk, process
         finally:
             process.terminate()
+
+
+def world_of(desk: Path) -> closing[WorldClient]:
+    """A client of the emulated head of a configuration, to be closed."""
+    return closing(WorldClient(load_hardware(desk).emulator_address))

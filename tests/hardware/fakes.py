@@ -1,8 +1,5 @@
 """Cameras without devices, and time that passes only when somebody sleeps."""
 
-import threading
-import time
-
 import cv2
 import numpy as np
 
@@ -22,12 +19,6 @@ class FakeClock:
 
     def sleep(self, seconds):
         self.now += seconds
-
-
-def noisy(image, count):
-    image = image.copy()
-    image[0, 0] ^= np.uint8(count % 2)
-    return image
 
 
 class ScriptedCapture:
@@ -54,39 +45,12 @@ class ScriptedCapture:
     def retrieve(self):
         if self._image is None:
             return False, None
-        self._count += not self._hangs
-        return True, noisy(self._image, self._count)
+        image, self._count = self._image.copy(), self._count + (not self._hangs)
+        image[0, 0] ^= np.uint8(self._count % 2)  # the next one is another
+        return True, image
 
     def release(self):
         self.released += 1
-
-
-class LiveCapture:
-    """A camera that shows one image at a rate, in real time, until it is released or ends."""
-
-    def __init__(self, image, rate_hz):
-        self._image, self._period_s, self._count = image, 1.0 / rate_hz, 0
-        self._next_s = time.monotonic()
-        self._end = threading.Event()
-        self.released = 0
-
-    def end(self):
-        self._end.set()
-
-    def get(self, property):
-        return 0.0
-
-    def grab(self):
-        self._next_s += self._period_s
-        return not self._end.wait(max(self._next_s - time.monotonic(), 0.0))
-
-    def retrieve(self):
-        self._count += 1
-        return True, noisy(self._image, self._count)
-
-    def release(self):
-        self.released += 1
-        self._end.set()
 
 
 def blank(head, eye=0, channels=1):

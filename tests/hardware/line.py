@@ -1,5 +1,6 @@
-"""Emulated servos on a real pseudo-terminal, served by a thread."""
+"""Emulated servos on a pseudo-terminal or on a line without time, and a robot that has them."""
 
+import dataclasses
 import os
 import pty
 import select
@@ -7,6 +8,11 @@ import threading
 import time
 import tty
 
+import pytest
+
+from tests.hardware.fakes import robot_config
+from vergence.hardware.config import BusConfig
+from vergence.hardware.dynamixel import bus as bus_module
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.server import baud_rate_of
@@ -27,8 +33,9 @@ def make_servo(id=1, **options):
 class ServedLine:
     """A `ServoLine` behind a serial port, with the servos' own delays."""
 
-    def __init__(self, line, echo=False, alter=lambda packet, answers: answers, hears_rate=False):
-        self.line, self.echo, self.alter, self.hears_rate = line, echo, alter, hears_rate
+    def __init__(self, servos, echo=False, alter=lambda packet, answers: answers, hears_rate=False):
+        self.line = ServoLine(servos)
+        self.echo, self.alter, self.hears_rate = echo, alter, hears_rate
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
@@ -71,5 +78,58 @@ class ServedLine:
                     os.write(self._master, out)
 
 
-def served_line(servos, **options):
-    return ServedLine(ServoLine(servos), **options)
+def ready_servos(**options):
+    """Four servos that are set up as they should be, of two pan-tilt turrets on a desk."""
+    return [make_servo(ident, lower=-3.2, upper=3.2, **options) for ident in range(1, 5)]
+
+
+def desk_config(port, baud_rate=1_000_000, **servo_values):
+    """The configuration of such a robot; other values are those of the first servo."""
+    config = robot_config(BusConfig(port=port, baud_rate=baud_rate))
+    first = dataclasses.replace(config.servos[0], **servo_values)
+    return dataclasses.replace(config, servos=(first, *config.servos[1:]))
+
+
+def open_briefly(config):
+    """The open servos of a configuration, whose answers are waited for no longer than needed."""
+    opened = config.make_servos(time.monotonic)
+    opened.open()
+    opened._bus.single_timeout_s = 0.01
+    return opened
+
+
+class TimelessLine:
+    """A serial line whose servos answer at once, by a clock of the test's own."""
+
+    port, baud = "/dev/null", 1_000_000  # one that is there
+
+    def __init__(self, servos, clock):
+        self._line, self._clock = ServoLine(servos), clock
+        self._parser, self._waiting = PacketParser(), b""
+
+    def wire_s(self, count):
+        return 0.0
+
+    def send(self, data, timeout_s=0.1):
+        for packet in self._parser.feed(data):
+            answers = self._line.answer(packet, self._clock())
+            self._waiting += b"".join(answer.data for answer in answers)
+
+    def receive(self, until_s):
+        data, self._waiting = self._waiting, b""
+        return data
+
+    def drain(self):
+        return self.receive(0.0)
+
+    def close(self):
+        pass
+
+
+def open_timeless(config, servos, clock):
+    """The open servos of a configuration, by emulated ones on a line without time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bus_module, "SerialLine", lambda _port, _baud: TimelessLine(servos, clock))
+        opened = config.make_servos(clock)
+        opened.open()
+    return opened

@@ -1,27 +1,31 @@
 """A real head described in TOML: what a complete file says, and how anything else is refused."""
 
+import dataclasses
 import functools
-import itertools
 import pickle
 import re
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.commands.test_failures import call
-from tests.naming import named
+from tests.naming import refused
 from vergence import load_head
 from vergence.errors import (
-    ConfigurationError,
     HeadFileError,
     MistakesError,
     UnreadableFileError,
     VergenceError,
 )
 from vergence.hardware import config as config_module
-from vergence.hardware.config import actuator_slots, load_hardware
+from vergence.hardware.config import (
+    LoopConfig,
+    actuator_slots,
+    load_hardware,
+    loop_variation,
+    write_loop,
+)
 from vergence.models.head_file import save_head
 from vergence.models.toml_table import toml_text
 from vergence.vision.targets import AprilTag
@@ -51,8 +55,8 @@ def load(folder, values):
 
 
 def test_a_complete_file_says_it_all(tmp_path):
-    values = document()
-    values["head_digest"] = load_head("turrets").digest[:12].upper()
+    values, head = document(), load_head("turrets")
+    values["head_digest"] = head.digest[:12].upper()
     values["servos"].reverse()
     values["servos"][0] |= {"sign": -1, "gear_ratio": 1.5, "zero_ticks": 7}
     values["servos"][0] |= {"lower_rad": -0.5, "upper_rad": 0.75}
@@ -64,12 +68,11 @@ def test_a_complete_file_says_it_all(tmp_path):
     config = load(tmp_path, values)
     assert [str(place.target) for place in config.measured_targets] == tags
     assert config.measured_targets[1].point.tolist() == [0.01, -0.02, 0.9]
-    assert config.head.digest == load_head("turrets").digest
+    assert config.head.digest == head.digest
     assert config.target == AprilTag(family="36h11", id=5, edge_m=0.12, size_known=True)
-    bus = config.bus
+    bus, last = config.bus, config.servos[-1]
     assert (bus.port, bus.baud_rate, bus.watchdog_s) == ("/dev/ttyUSB0", 1_000_000, 0.5)
-    assert [servo.name for servo in config.servos] == list(actuator_slots(config.head))
-    last = config.servos[-1]
+    assert [servo.name for servo in config.servos] == list(actuator_slots(head))
     assert (last.id, last.sign, last.gear_ratio, last.zero) == (4, -1, 1.5, 7)
     assert (last.lower_rad, last.upper_rad) == (-0.5, 0.75)
     assert last.unit_rad == pytest.approx(2.0 * np.pi / 4096)
@@ -78,8 +81,7 @@ def test_a_complete_file_says_it_all(tmp_path):
     assert (right.source, right.pixel_format) == ("http://127.0.0.1/right", "")
     assert (left.exposure_s, right.exposure_s) == (0.008, None)
     assert config.pairing_tolerance_s == 0.01
-    assert config.emulator_address == "127.0.0.1:4711"
-    assert config.places_targets
+    assert (config.emulator_address, config.places_targets) == ("127.0.0.1:4711", True)
     values["emulator"]["places_targets"] = False
     assert not load(tmp_path, values).places_targets
 
@@ -151,11 +153,8 @@ REFUSED = [
 @pytest.mark.slow
 def test_a_value_that_cannot_be_is_named(tmp_path):
     for place, value, said in REFUSED:
-        with named(place, value):
-            with pytest.raises(VergenceError) as refused:
-                load(tmp_path, edited(place, value))
-            assert str(refused.value).startswith(f"{tmp_path / 'robot.toml'}: ")
-            assert said in str(refused.value)
+        whole = f"^{re.escape(str(tmp_path / 'robot.toml'))}: .*{re.escape(said)}"
+        refused(whole, load, tmp_path, edited(place, value), error=VergenceError)
 
 
 def wrong_everywhere():
@@ -178,21 +177,21 @@ def wrong_everywhere():
 
 def test_the_mistakes_of_all_tables_are_told_at_once(tmp_path):
     values, told = wrong_everywhere()
-    with pytest.raises(MistakesError) as refused:
+    with pytest.raises(MistakesError) as caught:
         load(tmp_path, values)
-    lines = str(refused.value).splitlines()
-    assert len(lines) == len(told) == len(refused.value.mistakes)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == len(told) == len(caught.value.mistakes)
     for line, key in zip(lines, told, strict=True):
         assert line.startswith(f"{tmp_path / 'robot.toml'}: {key}")
-    assert str(pickle.loads(pickle.dumps(refused.value))) == str(refused.value)
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
 def test_a_wrong_head_hides_no_mistake_that_does_not_depend_on_it(tmp_path):
     values, told = wrong_everywhere()
     values["head"] = "turret"
-    with pytest.raises(MistakesError) as refused:
+    with pytest.raises(MistakesError) as caught:
         load(tmp_path, values)
-    keys = [line.split(": ")[1] for line in refused.value.lines]
+    keys = [line.split(": ")[1] for line in caught.value.lines]
     # without the head nobody knows the names of its joints
     assert keys == ["head", *(key[:-2] for key in told if key != "servos[1].name: ")]
 
@@ -209,23 +208,19 @@ def test_each_joint_needs_a_servo(tmp_path):
     values = document()
     del values["servos"][2]
     said = r"servos: expected a servo for each of .*, got \['left_pan', 'left_tilt', 'right_til"
-    with pytest.raises(HeadFileError, match=said):
-        load(tmp_path, values)
+    refused(said, load, tmp_path, values, error=HeadFileError)
 
 
 def test_a_path_with_no_file_of_toml_is_refused(tmp_path):
-    (tmp_path / "robot.toml").write_text("head = ")
-    with pytest.raises(UnreadableFileError, match=r"robot\.toml: no TOML"):
-        load_hardware(tmp_path / "robot.toml")
-    (tmp_path / "robot.toml").write_bytes(b'head = "t\xfcrrets"')
-    with pytest.raises(UnreadableFileError, match=r"not text in UTF-8"):
-        load_hardware(tmp_path / "robot.toml")
-    with pytest.raises(UnreadableFileError, match=r"none\.toml: No such file"):
-        load_hardware(tmp_path / "none.toml")
-    with pytest.raises(UnreadableFileError, match="the TOML file of a robot's configuration"):
-        load_hardware(tmp_path)
-    with pytest.raises(ConfigurationError, match="config: expected the path of a TOML file, got 5"):
-        load_hardware(5)
+    path = tmp_path / "robot.toml"
+    for content, said in ((b"head = ", "no TOML"), (b'"t\xfcrrets"', "not text in UTF-8")):
+        path.write_bytes(content)
+        refused(rf"robot\.toml: {said}", load_hardware, path, error=UnreadableFileError)
+    said = "the TOML file of a robot's configuration"
+    refused(said, load_hardware, tmp_path, error=UnreadableFileError)
+    none = tmp_path / "none.toml"
+    refused(r"none\.toml: No such file", load_hardware, none, error=UnreadableFileError)
+    refused("config: expected the path of a TOML file, got 5", load_hardware, 5)
 
 
 def test_a_head_file_is_looked_for_beside_the_configuration(tmp_path, monkeypatch):
@@ -238,8 +233,13 @@ def test_a_head_file_is_looked_for_beside_the_configuration(tmp_path, monkeypatc
 
 def test_a_fault_in_the_head_file_names_that_file(tmp_path):
     (tmp_path / "own.toml").write_text("name = 'own'\nsize = 3\n", encoding="utf-8")
-    with pytest.raises(HeadFileError, match=r"own\.toml: "):
-        load(tmp_path, edited("head", "own.toml"))
+    refused(r"own\.toml: ", load, tmp_path, edited("head", "own.toml"), error=HeadFileError)
+
+
+def test_a_misspelt_preset_is_refused_by_its_whole_place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said = rf"robot\.toml: head: expected .*{re.escape(str(tmp_path / 'turret'))}.*'turret'"
+    refused(said, load, "", edited("head", "turret"), error=HeadFileError)
 
 
 def test_a_tied_head_has_servos_for_its_neck_and_actuators(tmp_path):
@@ -254,27 +254,70 @@ def test_a_tied_head_has_servos_for_its_neck_and_actuators(tmp_path):
     }  # fmt: skip
 
 
-def places(values):
-    """Each container in a document, with each of its keys."""
-    for key in values if isinstance(values, dict) else range(len(values)):
-        yield values, key
-        if isinstance(values[key], dict | list):
-            yield from places(values[key])
+# ---- a measured loop ----
+
+LOOP = LoopConfig(
+    measured="2026-11-25", command_latency_s=0.0125, lag_s=0.045, speed_gain=0.9,
+    backlash_rad=0.002, jitter_s=0.008, computing_s=0.003, acceleration_ratio=0.5,
+    sigma={"lag_s": 1e-4, "latency_s": 2e-3},
+)  # fmt: skip
+LATENCIES_S = {"left": 0.07, "right": 0.09}
 
 
-def test_no_document_is_a_fault_of_the_program(tmp_path):
-    garbage = itertools.cycle((True, 2**70, np.nan, "", [[]], {}, "\0"))
-    for number in range(len(list(places(document())))):
-        values = document()
-        table, key = list(places(values))[number]
-        table[key] = next(garbage)
-        with named(key, table[key]), suppress(VergenceError):
-            assert load(tmp_path, values).servos
+@pytest.fixture
+def desk(tmp_path):
+    path = tmp_path / "desk.toml"
+    path.write_text(
+        f"# mine\n{toml_text(document())}\n[safety] # bounds\nspeed_rad_s = 2.0 # low\n"
+    )
+    return path
 
 
-def test_a_misspelt_preset_is_refused_by_its_whole_place(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("robot.toml").write_text(toml_text(edited("head", "turret")), encoding="utf-8")
-    place = re.escape(str(tmp_path / "turret"))
-    with pytest.raises(HeadFileError, match=rf"robot\.toml: head: expected .*{place}.*'turret'"):
-        load_hardware("robot.toml")
+def test_a_loop_is_written_over_an_older_one_and_all_else_stays(desk):
+    before = desk.read_text()
+    older = dataclasses.replace(LOOP, lag_s=0.02, sigma={"speed_gain": 0.1})
+    write_loop(desk, older, {"left": 0.5, "right": 0.5})
+    write_loop(desk, LOOP, LATENCIES_S)
+    config, after = load_hardware(desk), desk.read_text()
+    assert config.loop == LOOP
+    assert [camera.latency_s for camera in config.cameras] == list(LATENCIES_S.values())
+    assert [line for line in before.splitlines() if line not in after.splitlines()] == []
+
+
+def test_an_eye_that_was_not_measured_and_what_was_not_reached_are_not_written(desk):
+    weak = dataclasses.replace(LOOP, acceleration_ratio=None, jitter_s=0.0)
+    right_s = load_hardware(desk).cameras[1].latency_s
+    write_loop(desk, weak, {"left": 0.07})
+    config = load_hardware(desk)
+    assert config.loop == weak
+    assert [camera.latency_s for camera in config.cameras] == [0.07, right_s]
+
+
+def test_a_loop_that_cannot_be_is_refused_by_its_key(tmp_path):
+    for changes, key in (
+        ({"lag": 0.03}, "loop.lag"), ({"lag_s": 45.0}, "loop.lag_s"),
+        ({"lag_s": None}, "loop.lag_s"), ({"jitter_s": -0.001}, "loop.jitter_s"),
+        ({"speed_gain": 2.5}, "loop.speed_gain"), ({"backlash_rad": 0.3}, "loop.backlash_rad"),
+        ({"acceleration_ratio": 0.0}, "loop.acceleration_ratio"),
+        ({"measured": None}, "loop.measured"), ({"sigma": {"lag_s": -1.0}}, "loop.sigma.lag_s"),
+        ({"sigma": {"play": 1.0}}, "loop.sigma.play"),
+    ):  # fmt: skip
+        values = dataclasses.asdict(LOOP) | changes
+        values = {name: value for name, value in values.items() if value is not None}
+        error = refused("loop", load, tmp_path, document() | {"loop": values}, error=HeadFileError)
+        assert error.key == key
+
+
+def test_simulation_has_what_was_measured_and_the_rest_from_the_head(desk):
+    unmeasured = loop_variation(load_hardware(desk))
+    assert unmeasured.frame_phase == (0.0, 1.0)
+    assert unmeasured.lag_s is unmeasured.command_latency_s is unmeasured.jitter_s is None
+    write_loop(desk, LOOP, LATENCIES_S)
+    config = load_hardware(desk)
+    found = loop_variation(config)
+    for name, value in {
+        "latency_s": 0.08 + LOOP.computing_s, "jitter_s": 0.008, "command_latency_s": 0.0125,
+        "feedback_latency_s": 0.0, "lag_s": 0.045, "speed_gain": 0.9, "backlash_rad": 0.002,
+        "acceleration_ratio": 0.5,
+    }.items():  # fmt: skip
+        assert getattr(found, name) == pytest.approx((value, value)), name

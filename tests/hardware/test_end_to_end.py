@@ -8,22 +8,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.hardware.emulated import REAL_TIME, emulated
-from vergence.errors import ConfigurationError
+from tests.hardware.emulated import REAL_TIME, emulated, world_of
+from tests.naming import refused
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import GazeState, deploy
 from vergence.eval.robot.replay import replay
-from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.client import WorldClient
 from vergence.recording.log import read_log
 
+pytestmark = REAL_TIME
 BREAKS = """
 import numpy as np
 
@@ -38,7 +37,6 @@ class Breaks:
         return np.full((1, 4), 0.1, np.float32), state
 """
 README = Path(__file__).resolve().parents[2] / "README.md"
-pytestmark = REAL_TIME
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +47,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 def gaze(desk: Path, out: Path, *target: str, **options: Any) -> subprocess.Popen[str]:
     """`vergence gaze` on the emulated head, in a process of its own."""
-    words = ["gaze", "--plant", "hardware", "--config", str(desk), "--out", str(out)]
-    words += ["--point", *target]
-    return subprocess.Popen(
-        [sys.executable, "-m", "vergence", *words], stderr=subprocess.PIPE, text=True, **options
-    )
+    words = [sys.executable, "-m", "vergence", "gaze", "--plant", "hardware"]
+    words += ["--config", str(desk), "--out", str(out), "--point", *target]
+    return subprocess.Popen(words, stderr=subprocess.PIPE, text=True, **options)
 
 
 def test_the_command_turns_the_head_to_the_target(desk: Path, tmp_path: Path) -> None:
@@ -112,8 +108,7 @@ def test_a_deployment_is_resumed_with_the_gazes_that_are_missing(
         ({"resume": second.log}, "with which 2 are complete"),
         ({"controller": "ibvs"}, "resume: expected the controller of"),
     ):
-        with pytest.raises(ConfigurationError, match=said):
-            deploy(dataclasses.replace(config, **changed), tmp_path / "third.mcap")
+        refused(said, deploy, dataclasses.replace(config, **changed), tmp_path / "third.mcap")
 
 
 def test_a_policy_that_raises_rests_and_names_its_line(desk: Path, tmp_path: Path) -> None:
@@ -121,7 +116,7 @@ def test_a_policy_that_raises_rests_and_names_its_line(desk: Path, tmp_path: Pat
     mine.write_text(BREAKS)
     config = DeployConfig(controller=f"{mine}:Breaks", hardware=desk)
     result = deploy(config, tmp_path / "run.mcap")
-    with closing(WorldClient(load_hardware(desk).emulator_address)) as world:
+    with world_of(desk) as world:
         ended_s = time.monotonic()
         while (rested_s := world.rest_start_s(ended_s - 1.0)) is None:
             assert time.monotonic() < ended_s + 5.0
@@ -145,12 +140,10 @@ def test_a_dry_run_asks_the_policy_and_moves_nothing(desk: Path, tmp_path: Path)
 
 
 def test_a_termination_brakes_though_ctrl_c_is_ignored(desk: Path, tmp_path: Path) -> None:
-    def ignore() -> None:
-        """As a shell starts what is to run in the background."""
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-
+    # as a shell starts what is to run in the background
+    ignore = partial(signal.signal, signal.SIGINT, signal.SIG_IGN)
     with (
-        closing(WorldClient(load_hardware(desk).emulator_address)) as world,
+        world_of(desk) as world,
         gaze(desk, tmp_path / "run", "100", "-200", "700", preexec_fn=ignore) as process,
     ):
         until_s = time.monotonic() + 120.0

@@ -2,7 +2,7 @@
 
 import itertools
 import os
-from types import SimpleNamespace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,8 +16,29 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning"),  # before the stop
 ]
-MORE = range(1, int(os.environ.get("VERGENCE_FAULT_MOMENTS", "10")))
+MOMENTS = range(int(os.environ.get("VERGENCE_FAULT_MOMENTS", "10")))
+MORE = pytest.param(MOMENTS[1:], marks=pytest.mark.nightly)
 BOUNDS = Bounds(virtual_config())
+
+
+class Moment:
+    """A robot whose joints turn, at a drawn moment of a trial."""
+
+    def __init__(self, monkeypatch, seed):
+        rng = np.random.default_rng((17, seed))
+        self.robot, self._mover = VirtualRobot(monkeypatch), Mover(rng)
+        self.robot.begin()
+        self.drive(rng.uniform(0.3, 1.0))
+        assert self.robot.plant.fault == ""
+        self.robot.clock.sleep(rng.uniform(0.0, BOUNDS.period_s))
+
+    def drive(self, seconds):
+        self.robot.follow(self._mover.command, seconds)
+
+
+@pytest.fixture
+def moment(monkeypatch):
+    return partial(Moment, monkeypatch)
 
 
 def emulated(request):
@@ -57,7 +78,7 @@ STOPS = {
         of_eye(1, "ended_s"), "the stream ended", BOUNDS.period_s + BOUNDS.leave_s,
     ),
     "a command that is no number": (
-        lambda now: now.robot.plant.step(np.full((1, 7), np.nan)), "nan", BOUNDS.leave_s,
+        lambda now: now.robot.step(np.nan), "nan", BOUNDS.leave_s,
     ),
     "a policy that sleeps": (silence("sleep"), "of silence", BOUNDS.alone_s),
     "a process that stands still": (silence("stand_still"), "of silence", BOUNDS.alone_s),
@@ -68,7 +89,7 @@ STOPS = {
 ELSEWHERE = {
     # their lines: test_robot_doc
     "answers of one lost", "answers late", "cable pulled", "voltage", "overload",
-    # with friction, and the way that they go: test_rest
+    # with friction, and the way that they go: test_drive
     "encoder blind", "encoder's fault bit", "motor inverted",
     # beyond no limit: test_drive
     "joint stuck",
@@ -77,29 +98,6 @@ ELSEWHERE = {
 }  # fmt: skip
 """Stops that quick tests show, if not at drawn moments."""
 BY_DAY = [name for name in STOPS if name not in ELSEWHERE]
-
-
-@pytest.fixture
-def moment(monkeypatch):
-    """A robot whose joints turn, at a drawn moment of a trial."""
-
-    def make(seed):
-        rng = np.random.default_rng((17, seed))
-        robot = VirtualRobot(monkeypatch)
-        robot.begin()
-        mover = Mover(rng)
-
-        def drive(seconds):
-            until_s = robot.clock() + seconds
-            while robot.clock() < until_s and not robot.plant.fault:
-                robot.plant.step(mover.command(robot.clock()))
-
-        drive(rng.uniform(0.3, 1.0))
-        assert robot.plant.fault == ""
-        robot.clock.sleep(rng.uniform(0.0, BOUNDS.period_s))
-        return SimpleNamespace(robot=robot, drive=drive)
-
-    return make
 
 
 def assert_rests(moment, name, seeds):
@@ -115,7 +113,6 @@ def assert_rests(moment, name, seeds):
             assert now.robot.rested_s(since_s) <= bound_s
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("part", range(2))
 def test_a_fault_brings_the_joints_to_rest_within_its_bound(moment, part):
     for name in BY_DAY[part::2]:
@@ -126,41 +123,38 @@ def test_a_fault_brings_the_joints_to_rest_within_its_bound(moment, part):
 @pytest.mark.parametrize("part", range(4))
 def test_at_more_moments_a_fault_brings_the_joints_to_rest_within_its_bound(moment, part):
     for name in list(STOPS)[part::4]:
-        assert_rests(moment, name, MORE if name in BY_DAY else range(10))
+        assert_rests(moment, name, MOMENTS[name in BY_DAY :])
 
 
-@pytest.mark.parametrize("seeds", [[1], pytest.param(MORE, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("seeds", [[1], MORE])
 def test_a_policy_that_pauses_passes_no_limit(moment, seeds):
     for seed, pause_s in itertools.product(seeds, (0.03, 0.2)):
         with named(pause_s, seed):
             robot = moment(seed).robot
-            for _ in range(12 + 2 * seed):
-                robot.plant.step(np.full((1, 7), np.inf))
+            robot.step(np.inf, count=12 + 2 * seed)
             robot.clock.sleep(pause_s)
             robot.world.advance_to(robot.clock())
             assert max(one.q for one in robot.world.servos.values()) < LIMIT_RAD
 
 
-@pytest.mark.parametrize("seeds", [[0], pytest.param(MORE, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("seeds", [[0], MORE])
 def test_a_line_that_is_not_clean_goes_on(moment, seeds):
-    for fault in (one for one in GOES_ON.values() if one["what"] in ("doubled", "lost")):
-        for seed in seeds:
-            with named(fault, seed):
-                now = moment(seed)
-                now.robot.fault(**fault)
-                now.drive(0.8)
-                assert now.robot.plant.fault == ""
+    faults = [one for one in GOES_ON.values() if one["what"] in ("doubled", "lost")]
+    for fault, seed in itertools.product(faults, seeds):
+        with named(fault, seed):
+            now = moment(seed)
+            now.robot.fault(**fault)
+            now.drive(0.8)
+            assert now.robot.plant.fault == ""
 
 
 def test_a_stop_keeps_the_torque_but_for_servos_that_are_hot(moment):
     now = moment(0)
     now.robot.fault(what="temperature", ids=[2], value=69)
     now.drive(2.0)
-    torque = {one.id: one.get(table.TORQUE_ENABLE) for one in now.robot.world.servos.values()}
-    assert torque == {1: 1, 2: 0, 3: 1, 4: 1}
+    assert now.robot.registers(table.TORQUE_ENABLE) == [1, 0, 1, 1]
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("default::vergence.errors.VergenceWarning")
 def test_warm_servos_are_told_of_and_go_on(moment):
     now = moment(0)

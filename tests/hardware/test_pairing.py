@@ -1,11 +1,21 @@
 """Pairs of two eyes' images: each image comes out once, with its partner if it has one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.hardware.pairing import Pairing, SearchedImage
+from vergence import load_head
+from vergence.hardware.pairing import (
+    Pairing,
+    SearchedImage,
+    SearchedPair,
+    merge_pair,
+    pixels_at_common_time,
+)
+from vergence.models.parts import EYES
 
 FRAME_S = 1.0 / 30.0
 TOLERANCE_S = 0.6 * FRAME_S
@@ -92,7 +102,7 @@ def test_a_dead_eye_holds_the_other_back_for_the_wait_and_no_longer():
     pairing = Pairing(TOLERANCE_S, wait_s=0.03)
     for i in range(4):
         pairing.add(1, sight(i * FRAME_S, ready_s=1.0 + i * FRAME_S))
-        assert len(drain(pairing, 1.0 + i * FRAME_S + 0.029)) == 0
+        assert drain(pairing, 1.0 + i * FRAME_S + 0.029) == []
         (lone,) = drain(pairing, 1.0 + i * FRAME_S + 0.031)
         assert lone.left is None
         assert lone.right.exposed_s == i * FRAME_S
@@ -110,5 +120,62 @@ def test_a_later_image_of_the_other_eye_ends_the_wait_at_once():
 
 def test_a_pair_is_dated_in_the_middle_and_ready_with_the_later_one():
     (pair,) = run([sight(1.0, ready_s=1.2)], [sight(1.01, ready_s=1.15)])
-    assert abs(pair.exposed_s - 1.005) < 1e-12
-    assert pair.ready_s == 1.2
+    assert (pair.exposed_s, pair.ready_s) == (pytest.approx(1.005), 1.2)
+
+
+# ---- pixels as of one time ----
+
+TURRETS, POINT = load_head("turrets"), np.array([0.05, -0.1, 0.8])
+
+
+@pytest.mark.parametrize("name", ["turrets", "simulated"])
+def test_a_resting_target_is_where_a_synchronised_pair_would_see_it(name):
+    head, rng = load_head(name), np.random.default_rng(4)
+    common = head.fixate(POINT)
+    for _ in range(20):
+        exposed = np.tile(common, (2, 1))
+        exposed[:, EYES] += rng.normal(0.0, 0.02, (2, 4))
+        pixels = np.stack([head.project(exposed[eye], POINT)[eye] for eye in range(2)])
+        found = pixels_at_common_time(head, pixels, exposed, common)
+        assert found == pytest.approx(head.project(common, POINT), abs=1e-6)
+
+
+def test_a_neck_that_turns_takes_nothing_away():
+    head = load_head("simulated")
+    world, common = np.array([0.05, -0.1, 1.2, 1.0]), head.rest()
+    exposed = np.tile(common, (2, 1))
+    exposed[0, 0], exposed[1, 0] = 0.01, -0.01
+    T_N_0 = np.linalg.inv(head.base_pose(exposed))
+    points = T_N_0[..., :3, :] @ (head.base_pose(common) @ world)
+    pixels = np.stack([head.project(exposed[eye], points[eye])[eye] for eye in range(2)])
+    found = pixels_at_common_time(head, pixels, exposed, common)
+    assert found == pytest.approx(head.project(common, world[:3]), abs=1e-6)
+
+
+def test_a_pair_is_seen_from_the_joint_angles_of_each_exposure():
+    fixated, exposed_s = TURRETS.fixate(POINT), (0.01, 0.018)
+
+    def at(now_s):
+        angles = fixated.copy()
+        angles[EYES] += now_s * np.array([1.0, -2.0, 1.5, 0.5])
+        return angles
+
+    pixels = [TURRETS.project(at(now_s), POINT)[eye] for eye, now_s in enumerate(exposed_s)]
+    images = zip(exposed_s, pixels, strict=True)
+    pair = SearchedPair(*(SearchedImage(now_s, 0.05, pixel) for now_s, pixel in images))
+    common_s, found = merge_pair(TURRETS, pair, SimpleNamespace(at=at))
+    assert common_s == pytest.approx(0.014)
+    assert found == pytest.approx(TURRETS.project(at(0.014), POINT), abs=1e-6)
+
+
+@pytest.mark.parametrize("turned_rad", [0.0, 0.03])
+def test_rays_that_diverge_keep_their_directions(turned_rad):
+    common, cameras = TURRETS.rest(), TURRETS.cameras
+    exposed = np.stack([common, common])
+    exposed[0, EYES.start] += turned_rad
+    pixels = cameras.principal + np.array([[-30.0, 0.0], [30.0, 0.0]])
+    found = pixels_at_common_time(TURRETS, pixels, exposed, common)
+    left = TURRETS.camera_poses(exposed[0])[0] @ [-30.0 / cameras.focal[0, 0], 0.0, 1.0, 0.0]
+    far = TURRETS.camera_poses(common)[0, :3, 3] + 1e4 * left[:3]
+    assert found[0] == pytest.approx(TURRETS.project(common, far)[0], abs=0.1)
+    assert found[1] == pytest.approx(pixels[1], abs=1e-6)

@@ -3,16 +3,15 @@
 import errno
 import os
 import re
-import time
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tests.hardware.desk import desk_config, ready_servos
 from tests.hardware.fakes import HEAD
-from tests.hardware.line import make_servo
+from tests.hardware.line import desk_config, make_servo, open_briefly, ready_servos
 from tests.hardware.test_camera_checks import Desk
 from tests.hardware.virtual import PORT as VIRTUAL_PORT
 from tests.hardware.virtual import VirtualRobot
@@ -21,6 +20,8 @@ from vergence.errors import ChecksFailedError
 from vergence.hardware.checks import CameraRequest, check_cameras, check_servos
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.checks import open_bus
+from vergence.hardware.emulator.config import EmulatorConfig
+from vergence.hardware.emulator.world import World
 from vergence.vision import image
 
 PORT = "/dev/ttyUSB0"
@@ -64,25 +65,16 @@ SERVOS = {
 }  # fmt: skip
 
 
-def found(serve, servos, **served):
-    line = serve(servos, **served)
-    config = desk_config(line.port)
-    own = config.make_servos(time.monotonic)
-    own.open()
-    own._bus.single_timeout_s = 0.01
-    findings = check_servos(config, own)
-    own.close()
-    return "\n".join(map(str, findings)).replace(line.port, PORT)
-
-
 @pytest.mark.nightly
 def test_the_lines_of_a_servos_checks(serve):
     everywhere = {
         "no-answer": (lambda: desk(range(4), BAUD_RATE=FACTORY_RATE), {"hears_rate": True})
     }
     for name, (servos, served) in [*SERVOS.items(), *everywhere.items()]:
-        with named(name):
-            assert found(serve, servos(), **served) == LISTED[name]
+        config = desk_config(serve(servos(), **served).port)
+        with named(name), closing(open_briefly(config)) as opened:
+            said = "\n".join(map(str, check_servos(config, opened)))
+            assert said.replace(config.bus.port, PORT) == LISTED[name]
 
 
 RUNNING = {
@@ -99,22 +91,21 @@ def test_the_line_of_a_fault_while_the_robot_runs(monkeypatch):
     for name, fault in RUNNING.items():
         robot = VirtualRobot(monkeypatch)
         robot.begin()
-        robot.plant.step(np.zeros((1, 7)))
+        robot.step(0.0)
         if fault is None:
             robot.eyes[0].stalled_s = robot.clock()
         else:
             robot.fault(**fault)
-        until_s = robot.clock() + 2.0
-        while robot.clock() < until_s and not robot.plant.fault:
-            robot.plant.step(np.zeros((1, 7)))
+        robot.follow(lambda _now_s: np.zeros((1, 7)), 2.0)
         said = robot.plant.fault.replace(VIRTUAL_PORT, PORT)
         age = r"none for 0\.5\d s"  # depends on the moment
         with named(name):
             assert re.sub(age, "", said) == re.sub(age, "", LISTED[name])
 
 
-def test_the_line_of_an_adapter_that_holds_answers_back(robot):
-    robot.world._answer_latency_s = 0.016
+def test_the_line_of_an_adapter_that_holds_answers_back(monkeypatch):
+    late = EmulatorConfig(answer_latency_s=0.016)
+    robot = VirtualRobot(monkeypatch, World(HEAD, np.array([0.0, -0.1, 1.0]), late))
     with pytest.raises(ChecksFailedError) as failed:
         robot.plant.prepare()
     assert str(failed.value) == LISTED["late"]

@@ -33,14 +33,14 @@ class VirtualLine:
     def wire_s(self, count):
         return 10.0 * count / self.baud
 
-    def _check(self):
+    def _now(self):
         self._world.advance_to(self._clock())
         if self._world.faults.unplugged:
             raise HardwareError(f"{self.port}: the serial line is gone (was the cable pulled?)")
+        return self._clock()
 
     def send(self, data):
-        self._check()
-        now = self._clock()
+        now = self._now()
         for packet in self._parser.feed(data):
             answers = self._world.answer(packet, now, self.baud)
             wire_s = self.wire_s(len(data) + sum(len(answer) for _, answer in answers))
@@ -48,11 +48,9 @@ class VirtualLine:
         self._due.sort(key=lambda one: one[0])
 
     def receive(self, until_s):
-        self._check()
-        if not self._due or self._due[0][0] > until_s:
-            self._clock.now = max(self._clock.now, until_s)
-            return b""
-        due_s, answer = self._due.pop(0)
+        self._now()
+        in_time = self._due and self._due[0][0] <= until_s
+        due_s, answer = self._due.pop(0) if in_time else (until_s, b"")
         self._clock.now = max(self._clock.now, due_s)
         return answer
 
@@ -106,45 +104,14 @@ class WatchedWorld(World):
         self.seen[eye].append((at_s, received_s, pixel))
 
 
-class Eye:
-    """Stands for `EyeThread`."""
+class VirtualEye:
+    """Stands for `EyeThread`: sees the target in its middle, until its stream stalls or ends."""
 
     ready, frame = True, None
 
-    def check(self):
-        pass
-
-    def forget_track(self):
-        pass
-
-    def close(self):
-        pass
-
-
-class VirtualCamera(Eye):
-    def __init__(self, clock, config, images):
-        self.config, self._clock, self._images = config, clock, images
-        self._taken = 0
-        self.newest_received_s = clock()
-
-    def take_searched_images(self):
-        new = []
-        while self._taken < len(self._images) and self._images[self._taken][1] <= self._clock():
-            _, received_s, pixel = self._images[self._taken]
-            exposed_s = received_s - self.config.latency_s
-            new.append(SearchedImage(exposed_s, received_s, pixel))
-            self.newest_received_s = received_s
-            self._taken += 1
-        return new
-
-
-class VirtualEye(Eye):
-    """An eye that sees the target in its middle, until its stream stalls or ends."""
-
-    def __init__(self, clock, eye):
-        self.config = camera_config(eye)
-        self.ended_s = self.stalled_s = np.inf
-        self._clock, self._seen = clock, 0
+    def __init__(self, clock, config):
+        self.config, self.ended_s, self.stalled_s = config, np.inf, np.inf
+        self._clock, self._taken = clock, 0
 
     @property
     def newest_received_s(self):
@@ -158,13 +125,37 @@ class VirtualEye(Eye):
             raise HardwareError(f"{self.config.name}: {self.config.source}: the stream ended")
 
     def take_searched_images(self):
-        latest = self._latest()
-        if latest == self._seen:
+        taken, self._taken = self._taken, self._latest()
+        if taken == self._taken:
             return []
-        self._seen = latest
         now = self._clock()
         pixel = HEAD.cameras.principal[self.config.eye]
         return [SearchedImage(now - self.config.latency_s, now, pixel)]
+
+    def forget_track(self):
+        pass
+
+    def close(self):
+        pass
+
+
+class VirtualCamera(VirtualEye):
+    """An eye that sees what a world has shown it."""
+
+    newest_received_s = None
+
+    def __init__(self, clock, config, images):
+        super().__init__(clock, config)
+        self._images, self.newest_received_s = images, clock()
+
+    def take_searched_images(self):
+        new = []
+        while self._taken < len(self._images) and self._images[self._taken][1] <= self._clock():
+            _, self.newest_received_s, pixel = self._images[self._taken]
+            exposed_s = self.newest_received_s - self.config.latency_s
+            new.append(SearchedImage(exposed_s, self.newest_received_s, pixel))
+            self._taken += 1
+        return new
 
 
 class VirtualClock(FakeClock):
@@ -195,9 +186,8 @@ class VirtualRobot:
     proves = True
 
     def __init__(
-        self, monkeypatch, world=None, config=None, eyes=(0, 1),
-        plant_options=None, **safety,
-    ):  # fmt: skip
+        self, monkeypatch, world=None, config=None, eyes=(0, 1), plant_options=None, **safety
+    ):
         self.clock = VirtualClock(1000.0)
         self._order = eyes
         self.world = world or World(HEAD, np.array([0.0, -0.1, 1.0]))
@@ -225,7 +215,7 @@ class VirtualRobot:
                 for camera, shown in zip(self.config.cameras, self._order, strict=True)
             ]
         else:
-            self.eyes = [VirtualEye(self.clock, 0), VirtualEye(self.clock, 1)]
+            self.eyes = [VirtualEye(self.clock, camera_config(eye)) for eye in range(2)]
         eyes.threads.extend(self.eyes)
 
     def begin(self, left_pan_rad=0.0):
@@ -233,6 +223,18 @@ class VirtualRobot:
         start = self.config.head.rest()[None].copy()
         start[0, 3] += left_pan_rad
         self.plant.reset(np.zeros(1, np.int64), start)
+
+    def step(self, speeds, count=1):
+        """Request speeds, rad/s, of one or all joints, for some periods; the last reading."""
+        for _ in range(count):
+            reading = self.plant.step(np.broadcast_to(np.asarray(speeds, float), (1, 7)))
+        return reading
+
+    def follow(self, command, seconds):
+        """Step commands by the time, s, for some seconds or until the robot is stopped."""
+        until_s = self.clock() + seconds
+        while self.clock() < until_s and not self.plant.fault:
+            self.plant.step(command(self.clock()))
 
     def fault(self, **request):
         fault = parse_fault(request, self.world.ids, timed=False)

@@ -14,10 +14,10 @@ HEAD = load_head("turrets")
 STEPS = 60
 
 
-def open_log(path, **facts):
-    """A new log of the head `turrets`, by a clock that stands still."""
+def open_log(path, clock=lambda: 5.0, **facts):
+    """A new log of the head `turrets`, by default by a clock that stands still."""
     return LogWriter(
-        path, head=HEAD, config="# a robot", facts=facts, clock=lambda: 5.0, wall_ns=lambda: 10**18
+        path, head=HEAD, config="# a robot", facts=facts, clock=clock, wall_ns=lambda: 10**18
     )
 
 

@@ -15,19 +15,21 @@ from vergence.recording.events import MAX_GAP_RATIO, LoopHealth, warn_of_gap
 STEPS = 20
 
 
-def recorded(task, **fields):
+def run(task, keep, steps=STEPS):
+    rollout(task, make_controller("ibvs", head=task.head), steps, keep, seed=3)
+
+
+def recorded(task):
     """A record of a law's trials, and copies of what the task reported in each step."""
-    record, told = Recorder(task, STEPS, **fields), []
+    record, told = Recorder(task, STEPS), []
 
     def keep(step):
         record(step)
         truth = task.truth()
-        told.append((
-            task.reading.copy(), None if truth is None else Truth(*(part.copy() for part in truth)),
-            task.pixel_error.copy(), task.lost.copy(),
-        ))  # fmt: skip
+        truth = None if truth is None else Truth(*(part.copy() for part in truth))
+        told.append((task.reading.copy(), truth, task.pixel_error.copy(), task.lost.copy()))
 
-    rollout(task, make_controller("ibvs", head=task.head), STEPS, keep, seed=3)
+    run(task, keep)
     return record, told
 
 
@@ -61,7 +63,8 @@ def test_rows_are_what_the_task_reported_in_each_step(task):
 
 
 def test_fields_that_are_not_asked_for_have_no_rows_nor_truth(task, monkeypatch):
-    record, _told = recorded(task, reading=("positions",), truth=("target",))
+    record = Recorder(task, STEPS, reading=("positions",), truth=("target",))
+    run(task, record)
     assert [name for name in Reading._fields if len(getattr(record.reading, name))] == ["positions"]
     assert [name for name in Truth._fields if len(getattr(record.truth, name))] == ["target"]
     assert not len(record.pixel_error)
@@ -78,7 +81,7 @@ def test_truth_that_is_unknown_once_is_none(task, monkeypatch):
         monkeypatch.setattr(task, "truth", truth if step < 5 or step > 8 else lambda: None)
         record(step)
 
-    rollout(task, make_controller("ibvs", head=task.head), STEPS, keep, seed=3)
+    run(task, keep)
     assert record.truth is None
     assert len(record.reading.positions) == STEPS + 1
 
@@ -88,32 +91,25 @@ def test_a_robot_has_no_truth_and_a_trial_that_ended_early_as_many_rows_as_were_
     assert record.truth is None
     assert same(record.reading, [reading for reading, *_others in told])
     record = Recorder(robot, STEPS)
-    rollout(robot, make_controller("ibvs", head=robot.head), 7, record)
+    run(robot, record, 7)
     assert (len(record.reading.positions), len(record.lost)) == (8, 8)
 
 
 HEAD = load_head("simulated").replace(sensor={"detection_noise_px": 0.3})
-PERIOD_S = HEAD.timing.period_s
-LATENCY_S = HEAD.timing.latency_s
 POINT = np.array([0.05, -0.05, 1.0])
 
 
 def readings(count, *, right_down_px=0.0, speed_rad_s=0.0, seed=0):
     """Readings of a still head with noisy pixels, a new image in each period."""
-    rng = np.random.default_rng(seed)
-    q = HEAD.fixate(POINT)
+    rng, q = np.random.default_rng(seed), HEAD.fixate(POINT)
     for step in range(count):
+        time_s = np.float64(HEAD.timing.period_s * step)
         pixels = HEAD.project(q, POINT) + rng.normal(0.0, 0.3, (2, 2))
         pixels[1, 1] += right_down_px
-        reading = Reading._make(part[0] for part in Reading.empty(1))
-        yield reading._replace(
-            time_s=np.float64(PERIOD_S * step),
-            exposure_s=np.float64(PERIOD_S * step - LATENCY_S),
-            pixels=pixels,
-            visible=np.ones(2, dtype=bool),
-            positions_at_exposure=q,
-            velocities=np.full(7, speed_rad_s),
-        )
+        yield Reading._make(part[0] for part in Reading.empty(1))._replace(
+            time_s=time_s, exposure_s=time_s - HEAD.timing.latency_s, pixels=pixels,
+            visible=np.ones(2, bool), positions_at_exposure=q, velocities=np.full(7, speed_rad_s),
+        )  # fmt: skip
 
 
 def judged(some):

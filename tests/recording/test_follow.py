@@ -8,10 +8,12 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from mcap import stream_reader
+from mcap.writer import Writer
 
 from tests.hardware.fakes import FakeClock
-from tests.naming import named
-from tests.recording.logged import HEAD
+from tests.naming import named, refused
+from tests.recording.logged import HEAD, open_log
 from vergence.envs.reading import Reading, Truth
 from vergence.errors import UnreadableFileError
 from vergence.recording import schema
@@ -24,10 +26,6 @@ from vergence.recording.follow import (
 )
 from vergence.recording.log import read_log, records_in
 from vergence.recording.schema import LoggedCommand
-from vergence.recording.writer import LogWriter
-
-mcap_writer = pytest.importorskip("mcap.writer")
-stream_reader = pytest.importorskip("mcap.stream_reader")
 
 PERIOD_S = 0.1
 STEPS = 30
@@ -45,10 +43,6 @@ def log_trial(log, clock, steps):
         log.reading(Reading.empty(1)._replace(time_s=np.array([time_s])), begun_s)
         log.truth(Truth.unknown(1)._replace(time_s=np.array([time_s])))
         log.sync()
-
-
-def open_log(path, clock, **options):
-    return LogWriter(path, head=HEAD, config="# a robot", clock=clock, **options)
 
 
 @pytest.fixture(scope="module")
@@ -75,33 +69,26 @@ def assert_holds(events, log):
     )
     steps = [(trial, step) for trial in log.trials for step in range(trial.steps + 1)]
     assert [one[:2] for one in readings] == [(trial.number, trial.begun_s) for trial, _ in steps]
-    for found, expected in (
-        ([one.reading for one in readings], [[v[s, 0] for v in t.readings] for t, s in steps]),
-        (truths, [[v[s, 0] for v in trial.truths] for trial, s in steps]),
-    ):
-        for row, others in zip(found, expected, strict=True):
-            for value, other in zip(row, others, strict=True):
-                np.testing.assert_array_equal(value, other)
+    for now, truth, (trial, step) in zip(readings, truths, steps, strict=True):
+        for found, whole in ((now.reading, trial.readings), (truth, trial.truths)):
+            for value, values in zip(found, whole, strict=True):
+                np.testing.assert_array_equal(value, values[step, 0])
     assert stop_reasons == list(log.stop_reasons)
     for eye in range(2):
         newest = [one.images[eye] for one in events if one.images[eye] is not None][-1]
         assert newest == log.trials[-1].images[eye][-1]
 
 
-def times_of(events):
-    return [float(one.reading.time_s) for one in events.readings]
-
-
 def ends_of(path):
-    """Whether each record of a log is a chunk, and where it ends."""
+    """Where each record of a log ends."""
     with path.open("rb") as file:
         reader = stream_reader.StreamReader(file, emit_chunks=True)
-        return [(isinstance(one, stream_reader.Chunk), file.tell()) for one in reader.records]
+        return [file.tell() for _record in reader.records]
 
 
 def test_a_log_in_pieces_cut_anywhere_gives_each_event_once_and_stays_as_it_is(logged, tmp_path):
     data, path = logged.read_bytes(), tmp_path / "log.mcap"
-    ends = [end for _, end in ends_of(logged)]
+    ends = ends_of(logged)
     middle = ends[len(ends) // 2]
     cuts = [0, 4, 8, 20, middle - 1, middle, middle + 5, middle + 9, len(data) - 30, len(data)]
     cuts += np.random.default_rng(2).integers(len(data), size=12).tolist()
@@ -120,7 +107,7 @@ def test_a_log_in_pieces_cut_anywhere_gives_each_event_once_and_stays_as_it_is(l
 
 def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
     clock = FakeClock()
-    log = open_log(tmp_path / "open.mcap", clock, facts={"seed": "7"})
+    log = open_log(tmp_path / "open.mcap", clock, seed="7")
     with log, LogFollower(log.path) as follower:
         assert follower.poll() is None
         assert follower.head.digest == HEAD.digest
@@ -144,7 +131,7 @@ def test_only_the_recent_part_of_a_long_log_is_unpacked(tmp_path, monkeypatch):
             attached = records.call_count
             log_trial(log, clock, 1)
             later = follower.poll()
-    times = times_of(events)
+    times = [float(one.reading.time_s) for one in events.readings]
     # A chunk spans one period, or two where the writer's own flush fell between.
     assert times[0] == pytest.approx(PERIOD_S * steps - 2.0, abs=2 * PERIOD_S)
     assert times[-1] == pytest.approx(PERIOD_S * steps)
@@ -182,8 +169,7 @@ def test_the_loss_of_the_file_is_one_error_after_the_last_events(logged, tmp_pat
         with named(reason), LogFollower(path) as follower:
             assert follower.poll() is not None
             change()
-            with pytest.raises(UnreadableFileError, match=rf"lost\.mcap: {reason}"):
-                follower.poll()
+            refused(rf"lost\.mcap: {reason}", follower.poll, error=UnreadableFileError)
             assert follower.ended
             assert not follower.closed
             assert follower.poll() is None
@@ -191,35 +177,33 @@ def test_the_loss_of_the_file_is_one_error_after_the_last_events(logged, tmp_pat
 
 def test_garbage_is_one_error_after_the_events_before_it(logged, tmp_path):
     path, data = tmp_path / "garbage.mcap", logged.read_bytes()
-    ends = [end for _, end in ends_of(logged)]
+    ends = ends_of(logged)
     for garbage in (bytes(64), b"not a record of MCAP", b"\x06" + bytes(8)):  # an empty chunk
         path.write_bytes(data[: ends[len(ends) // 2]] + garbage + data)
         with named(garbage), LogFollower(path, history_s=math.inf) as follower:
             assert follower.poll().readings
-            with pytest.raises(UnreadableFileError, match=r"garbage\.mcap: it is damaged"):
-                follower.poll()
+            refused(r"garbage\.mcap: it is damaged", follower.poll, error=UnreadableFileError)
             assert follower.poll() is None
 
 
 def test_another_file_and_a_log_without_a_head_or_of_another_schema_are_refused(tmp_path):
     for one in (tmp_path / "none.mcap", tmp_path):
-        with pytest.raises(UnreadableFileError, match="expected a log of a robot"):
-            LogFollower(one)
+        refused("expected a log of a robot", LogFollower, one, error=UnreadableFileError)
     path = tmp_path / "other.mcap"
     path.write_text("nothing of the kind")
-    with LogFollower(path) as follower, pytest.raises(UnreadableFileError, match="no MCAP file"):
-        follower.poll()
+    with LogFollower(path) as follower:
+        refused("no MCAP file", follower.poll, error=UnreadableFileError)
     for version, reason in ((None, "it has no head"), ("0", "its schema is")):
         with path.open("wb") as file:
-            writer = mcap_writer.Writer(file)
+            writer = Writer(file)
             writer.start()
             if version is not None:
                 writer.add_metadata(schema.FACTS_RECORD_NAME, {"schema": version})
                 writer.add_attachment(0, 0, schema.HEAD_FILE, "application/toml", b"")
             writer.add_message(writer.register_channel("/fault", "json", 0), 0, b'{"text": ""}', 0)
             writer.finish()
-        with LogFollower(path) as follower, pytest.raises(UnreadableFileError, match=reason):
-            follower.poll()
+        with LogFollower(path) as follower:
+            refused(reason, follower.poll, error=UnreadableFileError)
 
 
 def test_the_newest_log_is_the_one_written_last(tmp_path):
@@ -239,7 +223,6 @@ def test_each_click_is_read_once_and_the_file_goes_with_the_reader(tmp_path):
     for pixel in ([10.5, 20.0], [30.0, 40.25]):
         write_click(log, Click(1, np.array(pixel), 5.0))
         click = reader.poll()
-        assert click is not None
         assert (click.eye, click.pixel.tolist(), click.exposed_s) == (1, pixel, 5.0)
         assert reader.poll() is None
     reader.close()

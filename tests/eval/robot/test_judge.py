@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.hardware.desk import desk_config
+from tests.hardware.line import desk_config
 from tests.recording.logged import log_trials
 from vergence.eval.comparison.config import ROBOT
 from vergence.eval.comparison.contestants import GivenOptions, make_contestants

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from tests.hardware.desk import desk_config
+from tests.hardware.line import desk_config
 from vergence.errors import ConfigurationError
 from vergence.eval.robot.stage import make_stage
 from vergence.eval.trials.scenarios import load_scenario
