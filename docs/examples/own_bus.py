@@ -25,7 +25,7 @@ class OwnBus(Servos):
 
     def __init__(self, servos, head, clock, *, lag_s=0.03, world=""):
         super().__init__(servos, head, clock)
-        self._lag_s, self._world = lag_s, WorldClient(world) if world else None
+        self._lag_s, self._address, self._world = lag_s, world, None
         self._zero = np.array([one.zero * one.unit_rad for one in servos])  # rad
         self._limit = np.array([head.actuation.velocity[one.slot] for one in servos])  # rad/s
         self._angles, self._time_s = self._zero.copy(), clock()
@@ -34,6 +34,7 @@ class OwnBus(Servos):
 
     def open(self):
         """Open the device; write nothing yet."""
+        self._world = WorldClient(self._address) if self._address else None
 
     def check(self):
         """Return a list of `vergence.errors.Finding`; called once a second while they run."""
@@ -69,6 +70,9 @@ class OwnBus(Servos):
 
     def close(self):
         """Release the device; the servos stay as they are."""
+        if self._world is not None:
+            self._world.close()
+            self._world = None
 
     def _turn(self):
         """Let the motors turn until now."""

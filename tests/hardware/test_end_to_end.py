@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ from tests.naming import refused
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import GazeState, deploy
 from vergence.eval.robot.replay import replay
+from vergence.models.toml_table import toml_text
 from vergence.recording.log import read_log
 
 pytestmark = REAL_TIME
@@ -159,3 +161,19 @@ def test_a_termination_brakes_though_ctrl_c_is_ignored(desk: Path, tmp_path: Pat
         rested_s = world.rest_start_s(since_s)
     assert rested_s is not None
     assert rested_s - since_s < 0.5
+
+
+def test_a_bus_of_somebodys_own_turns_eyes_that_see(desk: Path, tmp_path: Path) -> None:
+    template = README.parent / "docs" / "examples" / "own_bus.py"
+    (tmp_path / template.name).write_text(template.read_text())
+    values = tomllib.loads(desk.read_text())
+    values["bus"] = {"kind": "own_bus.py:OwnBus", "world": values["emulator"]["address"]}
+    for servo in values["servos"]:
+        del servo["zero_ticks"]
+    robot = tmp_path / "own.toml"
+    robot.write_text(toml_text(values))
+    wanted = DeployConfig(controller="state-feedback", hardware=robot, gazes=2, duration_s=2.0)
+    with pytest.warns(match="expected servos that stop by themselves"):
+        found = deploy(wanted, tmp_path / "log.mcap")
+    assert found.error is None
+    assert found.gazes.summary()["settled_fraction"] == 1.0
