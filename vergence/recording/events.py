@@ -76,10 +76,8 @@ class RobotListener:
 class BoardView(NamedTuple):
     """One view of a board by both eyes of a head at rest."""
 
-    time_s: float
-    """Time of the exposure, s; grows from view to view."""
-    positions: FloatArray
-    """(7,) measured joint angles, rad."""
+    time_s: float  # time of the exposure, s; grows from view to view
+    positions: FloatArray  # (7,) measured joint angles, rad
     corners_px: tuple[FloatArray | None, FloatArray | None]
     """(n, 2) raw pixels of the board's corners by eye, nan for corners that were not found; None
     for an eye to which the board is not visible."""
@@ -90,10 +88,8 @@ class BoardView(NamedTuple):
 class Looker(Protocol):
     """A head that can be turned, simulated or real, with a calibration board in front of it."""
 
-    head: HeadModel
-    """The known model of the head."""
-    target: PlanarTarget
-    """The board."""
+    head: HeadModel  # the known model of the head
+    target: PlanarTarget  # the board
 
     def look(self, q: FloatArray) -> BoardView:
         """Bring the head to rest near some joint angles, (7,) rad within the limits, and look once.

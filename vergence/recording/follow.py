@@ -9,6 +9,7 @@ import os
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -45,28 +46,22 @@ _WARNING: Final = 3
 class FollowedReading(NamedTuple):
     """A reading of the head."""
 
-    trial: int
-    """Number of the trial; 0 if its start was not found."""
-    begun_s: float
-    """Time of the trial's start, s of the robot's clock."""
-    reading: Reading
-    """The reading; its arrays lack the axis over heads."""
+    trial: int  # number of the trial; 0 if its start was not found
+    begun_s: float  # time of the trial's start, s of the robot's clock
+    reading: Reading  # the reading; its arrays lack the axis over heads
 
 
 class FollowedImage(NamedTuple):
     """An image of an eye."""
 
-    exposed_s: float
-    """Time of the exposure, s of the robot's clock."""
-    jpeg: bytes
-    """The JPEG; see `vergence.recording.log.read_jpeg`."""
+    exposed_s: float  # time of the exposure, s of the robot's clock
+    jpeg: bytes  # the JPEG; see `vergence.recording.log.read_jpeg`
 
 
 class FollowedNote(NamedTuple):
     """A warning or an error of the package's loggers."""
 
-    level: int
-    """3 for a warning, 4 for an error, 5 for a fatal one, as in foxglove.Log."""
+    level: int  # 3 for a warning, 4 for an error, 5 for a fatal one, as in foxglove.Log
     message: str
 
 
@@ -78,8 +73,7 @@ class NewEvents(NamedTuple):
     """Ground truth, if it is logged: each follows the reading of its time, maybe one call later."""
     images: tuple[FollowedImage | None, FollowedImage | None]
     """The newest image of the left and the right eye; None if there is no new one."""
-    stop_reasons: tuple[str, ...]
-    """Reasons for stops of the head."""
+    stop_reasons: tuple[str, ...]  # reasons for stops of the head
     notes: tuple[FollowedNote, ...]
 
 
@@ -144,7 +138,7 @@ class LogFollower:
         lost = self._lost()  # before reading, so that all that was written until then is read
         recent: deque[Chunk] = deque()
         found: dict[str, list[Any]] = defaultdict(list)
-        for read in (lambda: self._scan(recent), lambda: self._decode(recent, found)):
+        for read in (partial(self._scan, recent), partial(self._decode, recent, found)):
             try:  # an error of decoding lies before one of the scan
                 read()
             except ConfigurationError as error:
@@ -299,12 +293,9 @@ def newest_log(folder: str | os.PathLike[str]) -> Path | None:
 class Click(NamedTuple):
     """A click in an eye's image."""
 
-    eye: int
-    """0 for left, 1 for right."""
-    pixel: FloatArray
-    """(2,) raw pixel (u, v)."""
-    exposed_s: float
-    """Time of the image's exposure, s of the robot's clock."""
+    eye: int  # 0 for left, 1 for right
+    pixel: FloatArray  # (2,) raw pixel (u, v)
+    exposed_s: float  # time of the image's exposure, s of the robot's clock
 
 
 def write_click(log: Path, click: Click) -> None:

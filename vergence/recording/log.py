@@ -254,18 +254,15 @@ class LoggedTrial:
     """One trial of a log."""
 
     number: int
-    begun_s: float
-    """Time of the trial's start, s of the robot's clock."""
-    readings: Reading
-    """Readings of shape (steps + 1, 1, ...), from time zero."""
+    begun_s: float  # time of the trial's start, s of the robot's clock
+    readings: Reading  # readings of shape (steps + 1, 1, ...), from time zero
     truths: Truth | None
     """Ground truth at the times of the readings; None if they end early, as where a point was
     named meanwhile; nan if one is missing."""
     commands: tuple[LoggedCommand, ...]
     """The policy's commands, one before each reading but the first; one more if a fault prevented
     the last reading."""
-    images: _Images
-    """Exposure times, s of the clock, and JPEGs, of the left and the right eye."""
+    images: _Images  # exposure times, s of the clock, and JPEGs, of the left and the right eye
 
     @property
     def steps(self) -> int:
@@ -292,17 +289,13 @@ class Log:
 
     path: Path
     head: HeadModel
-    config: str
-    """Text of the file that describes the robot."""
-    facts: dict[str, str]
-    """Further facts, such as the controller, by name."""
+    config: str  # text of the file that describes the robot
+    facts: dict[str, str]  # further facts, such as the controller, by name
     trials: tuple[LoggedTrial, ...]
     joints: tuple[LoggedJoints, ...]
     detections: tuple[LoggedDetection, ...]
-    stop_reasons: tuple[str, ...]
-    """Reasons for stops of the head, in order."""
-    truncation_reason: str
-    """Reason for a truncated log; empty for one that was closed."""
+    stop_reasons: tuple[str, ...]  # reasons for stops of the head, in order
+    truncation_reason: str  # reason for a truncated log; empty for one that was closed
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
