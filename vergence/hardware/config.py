@@ -137,22 +137,18 @@ class LoopConfig:
     the encoder readings, and only time differences from these can be measured.
     """
 
-    measured: str
-    """Date of the measurement."""
+    measured: str  # date of the measurement
     command_latency_s: float
     """Latency from a command to the motors' response in the encoder readings, s."""
     lag_s: float
     """Time constant of the motors' response, as a head's `timing.lag_s`, s; an actuator with its
     own lag keeps its ratio to this one."""
-    speed_gain: float
-    """Steady-state speed per commanded speed."""
-    computing_s: float
-    """Computing time: image to detection plus reading to command, s."""
+    speed_gain: float  # steady-state speed per commanded speed
+    computing_s: float  # computing time: image to detection plus reading to command, s
     backlash_rad: float | None = None
     """Backlash (play) between encoders and cameras, rad; None, like the values below, if not
     measured."""
-    jitter_s: float | None = None
-    """Greatest delay of an image beyond its camera's latency, s."""
+    jitter_s: float | None = None  # greatest delay of an image beyond its camera's latency, s
     acceleration_ratio: float | None = None
     """Greatest acceleration as a ratio to the head file's; None if it was not reached."""
     sigma: Mapping[str, float] = field(default_factory=dict)
@@ -163,10 +159,8 @@ class LoopConfig:
 class MeasuredTarget:
     """A target at a measured point."""
 
-    target: Target
-    """Target that the cameras detect there."""
-    point: FloatArray
-    """(3,) centre of the target in the frame N, m."""
+    target: Target  # target that the cameras detect there
+    point: FloatArray  # (3,) centre of the target in the frame N, m
 
 
 def actuator_slots(head: HeadModel) -> dict[str, int]:
