@@ -20,9 +20,10 @@ from rich.progress import track
 from tests.hardware.virtual import VirtualRobot, WatchedWorld, virtual_config
 from vergence import load_head
 from vergence.errors import VergenceError
-from vergence.hardware.config import HardwareConfig, ServoConfig
+from vergence.hardware.config import HardwareConfig
 from vergence.hardware.dynamixel.control_table import CENTRE_TICKS, TICK_RAD
 from vergence.hardware.emulator.config import EmulatorConfig
+from vergence.hardware.servos import ServoConfig
 from vergence.models.head import HeadModel
 
 POINT = np.array([0.03, -0.05, 0.9])

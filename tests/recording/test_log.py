@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -20,7 +21,7 @@ from vergence.errors import UnreadableFileError, VergenceWarning
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.replay import replay
 from vergence.recording import schema
-from vergence.recording.log import read_log, recover_log
+from vergence.recording.log import read_jpeg, read_log, recover_log
 from vergence.recording.schema import LoggedDetection
 
 
@@ -156,6 +157,15 @@ def test_loggers_faults_detections_and_images_are_kept(tmp_path, caplog):
     with path.open("rb") as file:
         _, _, note = next(make_reader(file).iter_messages(topics=["/log"]))
     assert b"a servo is warm" in note.data
+
+
+def test_a_jpeg_that_is_broken_or_claims_too_much_is_no_image():
+    grey = np.full((48, 64), 40, np.uint8)
+    data = cv2.imencode(".jpg", grey)[1].tobytes()
+    assert np.array_equal(read_jpeg(data), grey)
+    size = data.index(b"\xff\xc0") + 5
+    for one in (b"", data[:100], data[:size] + b"\x60\x00" * 2 + data[size + 4 :]):
+        assert read_jpeg(one) is None
 
 
 def full(*_args, **_kwargs):

@@ -1,8 +1,8 @@
 """One eye's camera: a thread reads it, dates each image, and finds the target in it.
 
-Cameras and streams buffer their images in queues: an image that is not read at once is old by the
-time it is read. So a thread reads every image as it arrives. It also runs the detection, as OpenCV
-and the compiled detectors release Python's global interpreter lock.
+Cameras and streams buffer their images: one that is not read at once is old when it is read. So a
+thread reads every image as it arrives. It also runs the detection, as OpenCV and the compiled
+detectors release Python's global interpreter lock.
 
 The exposure time of an image is its time of receipt less the camera's latency; for a camera of this
 machine the driver stamps the receipt. The first images of a stream arrive in a burst, so their
@@ -87,7 +87,7 @@ class EyeThread(threading.Thread):
         self._new: deque[SearchedImage] = deque(maxlen=64)
         self._forget = self._ended = self._target_visible = False
         self._steady = threading.Event()
-        self._last_s = self._newest_s = clock()
+        self._last_s = self.newest_received_s = clock()
         self._fault = ""
         self._seen_q = head.rest()  # joint angles at the last image that differed
         self._device = is_local_camera(config.source)
@@ -169,7 +169,7 @@ class EyeThread(threading.Thread):
             return
         if not alike:
             self._seen_q = q
-        self._newest_s = received_s
+        self.newest_received_s = received_s
         if self._forget:
             self._forget = False
             self._search.forget()
@@ -181,19 +181,13 @@ class EyeThread(threading.Thread):
         if not self.images:
             _LOG.info("%s: first image", self.config.name)
         if self._target_visible != (found is not None):
-            self._target_visible = not self._target_visible
-            state = "found" if self._target_visible else "lost"
-            _LOG.debug("%s: target %s", self.config.name, state)
+            self._target_visible = found is not None
+            _LOG.debug("%s: target %s", self.config.name, "found" if found is not None else "lost")
         self.images += 1
         self.found += found is not None
         self.frame = grey
         if answer is not None:  # else a slow detector has yet to answer
             self._new.append(SearchedImage(exposed_s, self._clock(), pixel, found, grey))
-
-    @property
-    def newest_received_s(self) -> float:
-        """Time of receipt of the newest image, s, but for one that a hanging camera repeats."""
-        return self._newest_s
 
     @property
     def ready(self) -> bool:
@@ -213,10 +207,7 @@ class EyeThread(threading.Thread):
 
     def take_searched_images(self) -> list[SearchedImage]:
         """Searched images since the last call, in the order of exposure."""
-        images = []
-        while self._new:
-            images.append(self._new.popleft())
-        return images
+        return [self._new.popleft() for _ in range(len(self._new))]
 
     def look_for(self, search: EyeSearch) -> None:
         """Search for another target from the next image on."""
@@ -349,10 +340,8 @@ class HeadEyes:
 
     def frames(self) -> tuple[Image, Image] | None:
         """The newest images of both eyes, grey levels; None if an eye has none yet."""
-        images = [eye.frame for eye in self.threads]
-        if len(images) != 2 or images[0] is None or images[1] is None:
-            return None
-        return images[0], images[1]
+        left, right = [eye.frame for eye in self.threads] or (None, None)
+        return None if left is None or right is None else (left, right)
 
     def close(self) -> None:
         """Stop the threads and release the cameras; a second call does nothing."""

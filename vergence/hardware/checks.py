@@ -28,7 +28,8 @@ _MIN_RATE_RATIO: Final = 0.8
 """Least measured frame rate as a fraction of the requested one (chosen)."""
 _WARM_UP_S: Final = 0.5
 """Time after the first image in which buffers empty and the exposure settles, s (chosen)."""
-
+_MEASURED_S: Final = 1.0
+"""Duration of the measurement of a frame rate, s (chosen)."""
 
 CaptureDevice = Any  # a `cv2.VideoCapture`, or what stands for one
 
@@ -37,40 +38,26 @@ CaptureDevice = Any  # a `cv2.VideoCapture`, or what stands for one
 class CameraRequest:
     """One camera and the settings requested from it."""
 
-    name: str
-    """Name in messages."""
-    source: str
-    """Camera number, device file or URL."""
-    size: tuple[int, int] | None = None
-    """(width, height), px; None for the camera's own."""
-    frame_rate_hz: float | None = None
-    """Frame rate, Hz; None for the camera's own."""
-    pixel_format: str = ""
-    """Pixel format, four letters; empty for the camera's own."""
-    exposure_s: float | None = None
-    """Exposure time to lock, s; None leaves the setting."""
+    name: str  # name in messages
+    source: str  # camera number, device file or URL
+    size: tuple[int, int] | None = None  # (width, height), px; None for the camera's own
+    frame_rate_hz: float | None = None  # frame rate, Hz; None for the camera's own
+    pixel_format: str = ""  # pixel format, four letters; empty for the camera's own
+    exposure_s: float | None = None  # exposure time to lock, s; None leaves the setting
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraState:
-    """Actual settings and frame rate of a camera."""
+    """Actual settings and frame rate of a camera, as far as they are known."""
 
-    request: CameraRequest
-    """Requested settings."""
-    size: tuple[int, int] | None
-    """(width, height) of its images, px; None if none arrived."""
-    pixel_format: str
-    """Pixel format that it reports; empty if unknown."""
-    reported_hz: float
-    """Frame rate that it reports, Hz; nan if unknown."""
-    rate_hz: float
-    """Frame rate measured while all cameras gave images, Hz."""
-    alone_hz: float = np.nan
-    """Frame rate measured while the others were closed, Hz; nan if not measured."""
-    exposure_locked: bool | None
-    """True if its exposure is locked; None if unknown."""
-    exposure_s: float
-    """Exposure time that it reports, s; nan if unknown."""
+    request: CameraRequest  # requested settings
+    size: tuple[int, int] | None  # (width, height) of its images, px; None if none arrived
+    rate_hz: float  # frame rate measured while all cameras gave images, Hz
+    pixel_format: str = ""  # pixel format that it reports
+    reported_hz: float = np.nan  # frame rate that it reports, Hz
+    alone_hz: float = np.nan  # frame rate measured while the others were closed, Hz
+    exposure_locked: bool | None = None  # true if its exposure is locked; None if unknown
+    exposure_s: float = np.nan  # exposure time that it reports, s
 
     @property
     def too_slow(self) -> bool:
@@ -80,9 +67,8 @@ class CameraState:
     @property
     def slowed_by_others(self) -> bool:
         """True if it was too slow, but fast enough while the others were closed."""
-        return self.too_slow and self.alone_hz >= _MIN_RATE_RATIO * (
-            self.request.frame_rate_hz or 0.0
-        )
+        least_hz = _MIN_RATE_RATIO * (self.request.frame_rate_hz or 0.0)
+        return self.too_slow and self.alone_hz >= least_hz
 
 
 def camera_requests(config: HardwareConfig) -> tuple[CameraRequest, ...]:
@@ -101,51 +87,15 @@ def camera_requests(config: HardwareConfig) -> tuple[CameraRequest, ...]:
     )
 
 
-def _measure(
-    requests: Sequence[CameraRequest],
-    open: Callable[..., CaptureDevice],
-    clock: Callable[[], float],
-    seconds: float,
-) -> tuple[list[CameraState], dict[str, str]]:
-    """States of the cameras that could be opened, and the reasons of the others by name."""
-    unopened: dict[str, str] = {}
-    with suppress_opencv_log(), ExitStack() as opened:
-        captures: list[tuple[CameraRequest, CaptureDevice]] = []
-        for request in requests:
-            try:
-                capture = _open(request, open)
-            except ConfigurationError as error:
-                unopened[request.name] = str(error).removeprefix(f"{request.name}: ")
-                continue
-            opened.callback(capture.release)
-            captures.append((request, capture))
-        with ThreadPoolExecutor(max(len(captures), 1)) as pool:
-            watched = list(pool.map(lambda one: _watch(one[1], clock, seconds), captures))
-        states = [
-            _state(request, capture, *seen)
-            for (request, capture), seen in zip(captures, watched, strict=True)
-        ]
-        opened.close()  # so that slow cameras can be opened alone
-        if len(states) > 1:
-            states = [_with_alone(state, open, clock, seconds) for state in states]
-    return states, unopened
-
-
 def _open(request: CameraRequest, open: Callable[..., CaptureDevice]) -> CaptureDevice:
-    return open(
-        request.source,
-        request.name,
-        pixel_format=request.pixel_format,
-        size=request.size,
-        frame_rate_hz=request.frame_rate_hz,
-        exposure_s=request.exposure_s,
-    )
+    asked = dict(vars(request))
+    return open(asked.pop("source"), asked.pop("name"), **asked)
 
 
 def _watch(
-    capture: CaptureDevice, clock: Callable[[], float], seconds: float
+    capture: CaptureDevice, clock: Callable[[], float]
 ) -> tuple[tuple[int, int] | None, float]:
-    """Image size, and frame rate over a time, of a camera."""
+    """Size of the images, and frame rate, of a camera."""
     begun_s = clock()
     until_s = begun_s + FIRST_IMAGE_TIMEOUT_S
     times: list[float] = []
@@ -156,53 +106,44 @@ def _watch(
             there, image = capture.retrieve()
             size = (int(image.shape[1]), int(image.shape[0])) if there else None
         if len(times) == 1:
-            until_s = times[0] + _WARM_UP_S + seconds
+            until_s = times[0] + _WARM_UP_S + _MEASURED_S
     if not times:
         return None, 0.0
     counted = [time_s for time_s in times if time_s - times[0] >= _WARM_UP_S]
     if len(counted) < 2:
-        return size, len(times) / (_WARM_UP_S + seconds)
+        return size, len(times) / (_WARM_UP_S + _MEASURED_S)
     return size, (len(counted) - 1) / (counted[-1] - counted[0])
 
 
 def _state(
     request: CameraRequest, capture: CaptureDevice, size: tuple[int, int] | None, rate_hz: float
 ) -> CameraState:
+    state = CameraState(request=request, size=size, rate_hz=rate_hz)
     if not is_local_camera(request.source):  # a stream's settings are those of its server
-        return CameraState(
-            request=request, size=size, pixel_format="", reported_hz=np.nan, rate_hz=rate_hz,
-            exposure_locked=None, exposure_s=np.nan,
-        )  # fmt: skip
+        return state
     mode = capture.get(cv2.CAP_PROP_AUTO_EXPOSURE)
     steps = capture.get(cv2.CAP_PROP_EXPOSURE)
     letters = int(capture.get(cv2.CAP_PROP_FOURCC))
     set_hz = capture.get(cv2.CAP_PROP_FPS)
-    return CameraState(
-        request=request,
-        size=size,
+    return replace(
+        state,
         pixel_format=letters.to_bytes(4, "little").decode("latin-1") if letters > 0 else "",
         reported_hz=set_hz if set_hz > 0.0 else np.nan,
-        rate_hz=rate_hz,
         exposure_locked=mode == MANUAL_EXPOSURE if mode >= 0.0 else None,
         exposure_s=EXPOSURE_STEP_S * steps if steps > 0.0 else np.nan,
     )
 
 
-def _with_alone(
-    state: CameraState,
-    open: Callable[..., CaptureDevice],
-    clock: Callable[[], float],
-    seconds: float,
+def _rate_alone(
+    state: CameraState, open: Callable[..., CaptureDevice], clock: Callable[[], float]
 ) -> CameraState:
-    """Measure a slow camera's rate while the others are closed; return its completed state."""
-    if not state.too_slow:
-        return state
+    """Complete a slow camera's state by its rate while the others are closed."""
     try:
         capture = _open(state.request, open)
     except ConfigurationError:  # it has been removed meanwhile
         return state
     try:
-        size, alone_hz = _watch(capture, clock, seconds)
+        size, alone_hz = _watch(capture, clock)
     finally:
         capture.release()
     return replace(state, size=state.size or size, alone_hz=alone_hz)
@@ -221,25 +162,33 @@ def check_cameras(
     *,
     open: Callable[..., CaptureDevice] = open_capture,
     clock: Callable[[], float] = time.monotonic,
-    seconds: float = 1.0,
 ) -> tuple[list[CameraState], list[Finding]]:
     """Open cameras, all at once, measure their rates, and find all problems.
 
-    Args:
-        requests: the cameras.
-        open: opens a camera, as `vergence.vision.image.open_capture` does.
-        clock: a monotonic clock, s; called by a thread for each camera.
-        seconds: duration of the measurement of the rates, s.
-
-    Returns:
-        States of the cameras that could be opened, and the findings of all cameras.
+    Returns the states of the cameras that could be opened, and the findings of all.
     """
-    states, unopened = _measure(requests, open, clock, seconds)
-    findings = [
-        _unopened(request, unopened[request.name])
-        for request in requests
-        if request.name in unopened
-    ]
+    findings: list[Finding] = []
+    captures: list[tuple[CameraRequest, CaptureDevice]] = []
+    with suppress_opencv_log(), ExitStack() as opened:
+        for request in requests:
+            try:
+                capture = _open(request, open)
+            except ConfigurationError as error:
+                findings.append(_unopened(request, str(error).removeprefix(f"{request.name}: ")))
+                continue
+            opened.callback(capture.release)
+            captures.append((request, capture))
+        with ThreadPoolExecutor(max(len(captures), 1)) as pool:
+            watched = list(pool.map(lambda one: _watch(one[1], clock), captures))
+        states = [
+            _state(request, capture, *seen)
+            for (request, capture), seen in zip(captures, watched, strict=True)
+        ]
+        opened.close()  # so that slow cameras can be opened alone
+        if len(states) > 1:
+            states = [
+                _rate_alone(state, open, clock) if state.too_slow else state for state in states
+            ]
     for state in states:
         findings += _judge(state)
     shared = [state for state in states if state.slowed_by_others]
@@ -369,14 +318,11 @@ _JOINT_LIMIT_TOLERANCE_RAD: Final = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedPart:
-    """One part of a robot."""
+    """One part of a robot, its description, empty if nothing is known, and its problems."""
 
     name: str
-    """Name of the part, as in `Finding`."""
     description: str
-    """Description of the part; empty if nothing is known."""
     findings: tuple[Finding, ...]
-    """Faults and warnings of the part."""
 
     @property
     def ready(self) -> bool:
@@ -397,14 +343,7 @@ def check_servos(
 ) -> list[Finding]:
     """Find all problems of open servos before they get torque. Nothing is written to them.
 
-    Args:
-        config: the robot.
-        servos: its servos, open.
-        check_joint_in_limits: True to check that joints are within their limits; False while
-            zeros are being set.
-
-    Raises:
-        HardwareError: the line is gone.
+    Joints are not checked to be within their limits while zeros are being set.
     """
     findings = servos.check()
     if servos.stops_alone_after_s is None:
@@ -424,8 +363,7 @@ def check_servos(
 
 def _posture(config: HardwareConfig, servos: Servos) -> list[Finding]:
     """Joints out of their limits, and a forbidden posture."""
-    angles = JointAngles(config.servos, config.head)
-    reading = servos.read()
+    angles, reading = JointAngles(config.servos, config.head), servos.read()
     read = angles.update(reading)
     found = angles.angles.copy()
     findings = []
@@ -455,17 +393,7 @@ def _posture(config: HardwareConfig, servos: Servos) -> list[Finding]:
 
 
 def check_robot(config: HardwareConfig) -> list[CheckedPart]:
-    """Check the line, each servo and each camera. Nothing is written to a servo.
-
-    Args:
-        config: the robot.
-
-    Returns:
-        The parts in this order.
-
-    Raises:
-        HardwareError: the line was lost during the checks.
-    """
+    """Check the line, each servo and each camera, in this order; nothing is written to a servo."""
     if config.emulator_address:
         try:
             WorldClient(config.emulator_address).close()
@@ -495,10 +423,9 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
             servos.close()
     states, found = check_cameras(camera_requests(config))
     findings += found
-    for camera in config.cameras:
-        there[camera.name] = ""
+    there |= {camera.name: "" for camera in config.cameras}
     for state in states:
-        size = "" if state.size is None else f"{state.size[0]} x {state.size[1]}, "
+        size = "" if state.size is None else f"{_size(state.size)}, "
         there[state.request.name] = f"{size}{state.rate_hz:.1f} images a second"
     for finding in findings:  # of several parts at once, such as all cameras
         there.setdefault(finding.part, "")

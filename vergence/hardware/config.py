@@ -31,7 +31,8 @@ import dataclasses
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -95,11 +96,7 @@ class BusConfig:
     def make(
         self, servos: Sequence[ServoConfig], head: HeadModel, clock: Callable[[], float]
     ) -> Servos:
-        """Make the servos of a head, still closed.
-
-        Raises:
-            ConfigurationError: a bus of somebody's own cannot be made.
-        """
+        """Make the servos of a head, still closed."""
         if self.kind in KINDS:
             wire = {"port": self.port, "baud_rate": self.baud_rate, "watchdog_s": self.watchdog_s}
             return self.servos_type(servos, head, clock, **wire)
@@ -140,22 +137,18 @@ class LoopConfig:
     the encoder readings, and only time differences from these can be measured.
     """
 
-    measured: str
-    """Date of the measurement."""
+    measured: str  # date of the measurement
     command_latency_s: float
     """Latency from a command to the motors' response in the encoder readings, s."""
     lag_s: float
     """Time constant of the motors' response, as a head's `timing.lag_s`, s; an actuator with its
     own lag keeps its ratio to this one."""
-    speed_gain: float
-    """Steady-state speed per commanded speed."""
-    computing_s: float
-    """Computing time: image to detection plus reading to command, s."""
+    speed_gain: float  # steady-state speed per commanded speed
+    computing_s: float  # computing time: image to detection plus reading to command, s
     backlash_rad: float | None = None
     """Backlash (play) between encoders and cameras, rad; None, like the values below, if not
     measured."""
-    jitter_s: float | None = None
-    """Greatest delay of an image beyond its camera's latency, s."""
+    jitter_s: float | None = None  # greatest delay of an image beyond its camera's latency, s
     acceleration_ratio: float | None = None
     """Greatest acceleration as a ratio to the head file's; None if it was not reached."""
     sigma: Mapping[str, float] = field(default_factory=dict)
@@ -166,10 +159,8 @@ class LoopConfig:
 class MeasuredTarget:
     """A target at a measured point."""
 
-    target: Target
-    """Target that the cameras detect there."""
-    point: FloatArray
-    """(3,) centre of the target in the frame N, m."""
+    target: Target  # target that the cameras detect there
+    point: FloatArray  # (3,) centre of the target in the frame N, m
 
 
 def actuator_slots(head: HeadModel) -> dict[str, int]:
@@ -186,8 +177,10 @@ _BAUD: Final[Rule] = (lambda x: 9600 <= x <= 10_500_000, "a baud rate, 9600 to 1
 _ZERO_TICKS: Final[Rule] = (lambda x: 0 <= x <= 4095, "ticks of the servo's position, 0 to 4095")
 _ZERO_RAD: Final[Rule] = (lambda x: abs(x) <= 100.0, "the shaft's angle, rad (is it in degrees?)")
 _SIGN: Final[Rule] = (lambda x: x in (1, -1), "1 or -1")
-_TURNS: Final = "turns of the servo per turn of the joint, 0.01 to 100"
-_GEAR: Final[Rule] = (lambda x: 0.01 <= x <= 100.0, _TURNS)
+_GEAR: Final[Rule] = (
+    lambda x: 0.01 <= x <= 100.0,
+    "turns of the servo per turn of the joint, 0.01 to 100",
+)
 _WATCHDOG: Final[Rule] = (
     lambda x: 0.02 <= x <= 2.54,
     f"seconds in steps of the servos' 20 ms, 0.02 to 2.54 {_MILLISECONDS}",
@@ -224,29 +217,16 @@ def _numbers(table: Table, rules: Mapping[str, Rule]) -> dict[str, float]:
     return {name: table.number(name, rule) for name, rule in rules.items() if table.has(name)}
 
 
-class MistakeCollector:
-    """Collects the mistakes of one file: an error ends its `with` block alone.
-
-    Attributes:
-        found: the errors, in the order in which they occurred.
-    """
-
-    def __init__(self) -> None:
-        self.found: list[VergenceError] = []
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
-    ) -> bool:
-        if not isinstance(error, VergenceError):
-            return False
-        self.found.append(error)
-        return True
+@contextmanager
+def _collect(mistakes: list[VergenceError]) -> Iterator[None]:
+    """Add an error to the mistakes of a file, in their order; it ends the `with` block alone."""
+    try:
+        yield
+    except VergenceError as error:
+        mistakes.append(error)
 
 
-def read_bus(table: Table, head: HeadModel | None, path: str) -> BusConfig:
+def _read_bus(table: Table, head: HeadModel | None, path: str) -> BusConfig:
     kind = "dynamixel"
     if table.has("kind"):
         expected = f"{', '.join(KINDS)}, or module:class of your own bus"
@@ -290,40 +270,33 @@ def _own_bus(table: Table, kind: str, path: str) -> BusConfig:
     return BusConfig(kind=kind, options=options, servos_type=found)
 
 
-def read_servos(
+def _read_servos(
     tables: Sequence[Table],
     head: HeadModel | None,
     unit_rad: float | None,
-    mistakes: MistakeCollector,
+    mistakes: list[VergenceError],
 ) -> tuple[ServoConfig, ...]:
     """Read the servos, in the order of their slots; those with mistakes are left out."""
-    slots = None if head is None else actuator_slots(head)
+    slots = {} if head is None else actuator_slots(head)
     servos: list[ServoConfig] = []
     names: list[str] = []
     ids: dict[int, str] = {}
     for table in tables:
-        with mistakes:
-            name = (
-                table.text("name", "the name of a joint or actuator of the head")
-                if slots is None
-                else table.choice("name", list(slots))
-            )
+        with _collect(mistakes):
+            if head is None:
+                name = table.text("name", "the name of a joint or actuator of the head")
+            else:
+                name = table.choice("name", list(slots))
             table.expect(name not in names, "name", name, "each joint once")
             names.append(name)
             ident = table.integer("id", _ID)
-            if ident in ids:
-                raise HeadFileError(table.key("id"), ident, f"another id than that of {ids[ident]}")
+            table.expect(ident not in ids, "id", ident, f"another id than that of {ids.get(ident)}")
             ids[ident] = name
-            slot = 0 if slots is None else slots[name]
-            servos.append(_servo(table, name, ident, slot, head, unit_rad))
-    if head is not None and slots is not None and set(names) < set(slots):
-        unreadable = len(tables) - len(names)  # their own mistakes are reported already
-        if len(slots) - len(names) > unreadable:
-            mistakes.found.append(
-                HeadFileError(
-                    "servos", names, f"a servo for each of {', '.join(slots)} of {head.name}"
-                )
-            )
+            servos.append(_servo(table, name, ident, slots.get(name, 0), head, unit_rad))
+    # the mistakes of unreadable tables are reported already
+    if head is not None and set(names) < set(slots) and len(slots) > len(tables):
+        asked = f"a servo for each of {', '.join(slots)} of {head.name}"
+        mistakes.append(HeadFileError("servos", names, asked))
     return tuple(sorted(servos, key=lambda servo: servo.slot))
 
 
@@ -370,7 +343,7 @@ def _servo(
     )
 
 
-def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
+def _read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
     """Read the table of one eye's camera."""
     source = table.take("source", _SOURCE)
     table.expect(_is_source(source), "source", source, _SOURCE)
@@ -379,27 +352,22 @@ def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
     table.expect(fits, "pixel_format", pixel_format, _FORMAT)
     values = {"latency_s": 0.0 if head is None else head.timing.latency_s}
     values |= _numbers(table, {"latency_s": _LATENCY, "exposure_s": _EXPOSURE})
-    if head is not None and (exposure_s := values.get("exposure_s", 0.0)) > head.timing.frame_s:
-        asked = f"at most the time between two frames of {head.name}, {head.timing.frame_s:.3g} s"
-        raise HeadFileError(table.key("exposure_s"), exposure_s, asked)
+    if head is not None:
+        exposure_s, frame_s = values.get("exposure_s", 0.0), head.timing.frame_s
+        asked = f"at most the time between two frames of {head.name}, {frame_s:.3g} s"
+        table.expect(exposure_s <= frame_s, "exposure_s", exposure_s, asked)
     table.close()
     return CameraConfig(eye=eye, source=str(source), pixel_format=pixel_format, **values)
 
 
 def _is_source(value: object) -> bool:
     """True if a value is the number of a camera, or text that may name one."""
-    if isinstance(value, str) and not value.isdecimal():
-        return bool(value.strip()) and value.isprintable()
-    if isinstance(value, str) and len(value) > len(str(_CAMERA_NUMBERS)):
-        return False
-    return (
-        isinstance(value, int | str)
-        and not isinstance(value, bool)
-        and (0 <= int(value) < _CAMERA_NUMBERS)
-    )
+    if type(value) is int or (isinstance(value, str) and value.isdecimal()):
+        return len(str(value)) <= 3 and 0 <= int(value) < _CAMERA_NUMBERS
+    return isinstance(value, str) and bool(value.strip()) and value.isprintable()
 
 
-def read_loop(table: Table) -> LoopConfig:
+def _read_loop(table: Table) -> LoopConfig:
     """Read the `loop` table: the measured loop."""
     values = {name: table.number(name, _loop_rule(name)) for name in _LOOP_VALUES}
     values |= _numbers(table, {name: _loop_rule(name) for name in _LOOP_OPTIONAL})
@@ -421,14 +389,12 @@ def _loop_rule(name: str) -> Rule:
     return (lambda x: is_valid_range(name, x, x), valid_range_text(name))
 
 
-def read_measured_targets(
-    tables: Sequence[Table], mistakes: MistakeCollector
-) -> tuple[MeasuredTarget, ...]:
+def _read_places(tables: Sequence[Table], mistakes: list[VergenceError]) -> dict[str, Any]:
     """Read the targets at measured points; those with mistakes are left out."""
     targets: list[MeasuredTarget] = []
     key_of_target: dict[str, str] = {}
     for table in tables:
-        with mistakes:
+        with _collect(mistakes):
             text = table.text("target", _TARGET)
             try:
                 target = parse_target(text)
@@ -437,9 +403,8 @@ def read_measured_targets(
                 raise HeadFileError(table.key("target"), text, asked) from error
             # the size of a tag does not distinguish it from others
             seen = str((target.family, target.id) if isinstance(target, AprilTag) else target)
-            if seen in key_of_target:
-                asked = f"another target than {key_of_target[seen]}"
-                raise HeadFileError(table.key("target"), text, asked)
+            asked = f"another target than {key_of_target.get(seen)}"
+            table.expect(seen not in key_of_target, "target", text, asked)
             key_of_target[seen] = table.key("target")
             point = table.numbers("point_mm", (3,), _COORDINATE_MM)
             far = np.linalg.norm(point) >= _LEAST_TARGET_DISTANCE_MM
@@ -448,30 +413,23 @@ def read_measured_targets(
             targets.append(MeasuredTarget(target=target, point=point / 1000.0))
     if len(tables) == 1:
         asked = "two or more, between which the eyes turn"
-        mistakes.found.append(HeadFileError("places", 1, asked))
-    return tuple(targets)
+        mistakes.append(HeadFileError("places", 1, asked))
+    return {"measured_targets": tuple(targets)}
 
 
-def read_emulator(table: Table) -> tuple[str, bool]:
-    """Read HOST:PORT of the emulated head, and the flag `places_targets`."""
+def _safety(table: Table, head: HeadModel | None) -> dict[str, Any]:
+    # its forbidden postures name joints of the head
+    return {} if head is None else {"safety": parse_safety(table, actuator_slots(head))}
+
+
+def _read_emulator(table: Table) -> dict[str, Any]:
     address = table.text("address", _ADDRESS)
     host_port = re.fullmatch(r"[^:\s]+:([0-9]{1,5})", address)
     fits = host_port is not None and 1 <= int(host_port[1]) <= 65535
     table.expect(fits, "address", address, _ADDRESS)
     places_targets = not table.has("places_targets") or table.boolean("places_targets")
     table.close()
-    return address, places_targets
-
-
-__all__ = [
-    "BusConfig",
-    "CameraConfig",
-    "HardwareConfig",
-    "ServoConfig",
-    "actuator_slots",
-    "load_hardware",
-    "refuse_other_head",
-]
+    return {"emulator_address": address, "places_targets": places_targets}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -492,7 +450,7 @@ class HardwareConfig:
     """Left and right camera."""
     pairing_tolerance_s: float
     """Greatest time between the exposures of two images of a pair, s."""
-    emulator_address: str
+    emulator_address: str = ""
     """HOST:PORT of the emulated head behind this hardware; empty for a robot."""
     places_targets: bool = False
     """True if trials place their targets: for an emulated head, unless its board is fixed. Before a
@@ -547,11 +505,7 @@ def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
 
 
 def refuse_other_head(config: HardwareConfig, head: HeadModel) -> None:
-    """Raise an error if a head differs from that of the hardware configuration.
-
-    Raises:
-        ConfigurationError: their digests differ.
-    """
+    """Raise a `ConfigurationError` if a head is not that of the hardware configuration."""
     if head.digest != config.head.digest:
         raise ConfigurationError(
             f"head: expected the head of {config.path}, {config.head.name} with the digest "
@@ -560,46 +514,51 @@ def refuse_other_head(config: HardwareConfig, head: HeadModel) -> None:
 
 
 def _parse(table: Table, path: str) -> HardwareConfig:
-    mistakes = MistakeCollector()
+    mistakes: list[VergenceError] = []
     head: HeadModel | None = None
-    with mistakes:
+    with _collect(mistakes):
         head = _head(table, path)
-    with mistakes:
-        _refuse_other_digest(table, head)
-    with mistakes:
+    with _collect(mistakes):
+        if table.has("head_digest"):
+            expected = "the digest of the head, which `vergence info --head` tells"
+            asked = table.text("head_digest", expected)
+            if head is not None:
+                fits = len(asked) >= 8 and head.digest.startswith(asked.lower())
+                expected = f"that of {head.name}, {head.digest[:16]}"
+                table.expect(fits, "head_digest", asked, expected)
+    with _collect(mistakes):
         target = _target(table, path)
     named = table.peek("bus")
     own = isinstance(named, Mapping) and named.get("kind", "dynamixel") not in KINDS
     unit_rad = None if own else DynamixelServos.unit_rad  # while the bus is not known
-    with mistakes:
-        bus = read_bus(table.table("bus"), head, path)
+    with _collect(mistakes):
+        bus = _read_bus(table.table("bus"), head, path)
         unit_rad = bus.servos_type.unit_rad
-    with mistakes:
-        servos = read_servos(table.tables("servos"), head, unit_rad, mistakes)
-    with mistakes:
+    with _collect(mistakes):
+        servos = _read_servos(table.tables("servos"), head, unit_rad, mistakes)
+    with _collect(mistakes):
         cameras, tolerance_s = _cameras(table.table("cameras"), head, mistakes)
-    emulator, places_targets = "", False
-    with mistakes:
-        if table.has("emulator"):
-            emulator, places_targets = read_emulator(table.table("emulator"))
-    safety = SafetyConfig()
-    with mistakes:
-        if table.has("safety"):
-            part = table.table("safety")
-            # its forbidden postures name joints of the head
-            safety = safety if head is None else parse_safety(part, actuator_slots(head))
-    loop: LoopConfig | None = None
-    with mistakes:
-        if table.has("loop"):
-            loop = read_loop(table.table("loop"))
-    measured_targets: tuple[MeasuredTarget, ...] = ()
-    with mistakes:
-        if table.has("places"):
-            measured_targets = read_measured_targets(table.tables("places"), mistakes)
-    with mistakes:
+    more: dict[str, Any] = {}
+    readers: dict[str, Callable[[], dict[str, Any]]] = {
+        "emulator": lambda: _read_emulator(table.table("emulator")),
+        "safety": lambda: _safety(table.table("safety"), head),
+        "loop": lambda: {"loop": _read_loop(table.table("loop"))},
+        "places": lambda: _read_places(table.tables("places"), mistakes),
+    }
+    for name, read in readers.items():
+        with _collect(mistakes):
+            if table.has(name):
+                more |= read()
+    with _collect(mistakes):
         table.close()
-    if mistakes.found or head is None:
-        raise _error(mistakes, path)
+    if mistakes or head is None:
+        found = [
+            HeadFileError(one.key, one.value, one.expected, path)
+            if isinstance(one, HeadFileError) and not one.file
+            else one
+            for one in mistakes
+        ]
+        raise found[0] if len(found) == 1 else MistakesError(path, found)
     left, right = cameras
     return HardwareConfig(
         path=path,
@@ -609,46 +568,22 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         servos=servos,
         cameras=(left, right),
         pairing_tolerance_s=tolerance_s,
-        emulator_address=emulator,
-        places_targets=places_targets,
-        safety=safety,
-        loop=loop,
-        measured_targets=measured_targets,
+        **more,
     )
 
 
-def _error(mistakes: MistakeCollector, path: str) -> VergenceError:
-    """The error to raise for all mistakes, each with the name of the file."""
-    found = [_in_file(mistake, path) for mistake in mistakes.found]
-    return found[0] if len(found) == 1 else MistakesError(path, found)
-
-
-def _in_file(error: VergenceError, path: str) -> VergenceError:
-    if not isinstance(error, HeadFileError) or error.file:
-        return error
-    return HeadFileError(error.key, error.value, error.expected, path)
-
-
-def _refuse_other_digest(table: Table, head: HeadModel | None) -> None:
-    if not table.has("head_digest"):
-        return
-    asked = table.text("head_digest", "the digest of the head, which `vergence info --head` tells")
-    if head is not None and not (len(asked) >= 8 and head.digest.startswith(asked.lower())):
-        raise HeadFileError("head_digest", asked, f"that of {head.name}, {head.digest[:16]}")
-
-
 def _cameras(
-    table: Table, head: HeadModel | None, mistakes: MistakeCollector
+    table: Table, head: HeadModel | None, mistakes: list[VergenceError]
 ) -> tuple[list[CameraConfig], float]:
     """Read the cameras, left one first, and the pairing tolerance, s; mistakes are left out."""
     tolerance_s = 0.0 if head is None else _PAIRING_FRAME_FRACTION * head.timing.frame_s
-    with mistakes:
+    with _collect(mistakes):
         found = _numbers(table, {"pairing_tolerance_s": _PAIRING})
         tolerance_s = found.get("pairing_tolerance_s", tolerance_s)
     cameras = []
     for eye, name in enumerate(EYE_NAMES):
-        with mistakes:
-            cameras.append(read_camera(table.table(name), eye, head))
+        with _collect(mistakes):
+            cameras.append(_read_camera(table.table(name), eye, head))
     table.close()
     if len({camera.source for camera in cameras}) < len(cameras):
         raise HeadFileError(
@@ -663,16 +598,15 @@ def _head(table: Table, path: str) -> HeadModel:
     if name in presets():
         return load_head(name)
     place = Path(path).parent.absolute() / name
-    if not name.isprintable():
-        raise HeadFileError("head", name, expected, path)
+    table.expect(name.isprintable(), "head", name, expected)
     # reading a pipe or some devices never ends
-    if os.path.exists(place) and not os.path.isfile(place):
-        raise HeadFileError("head", name, f"{expected} ({place!s:.200}: no regular file)", path)
+    fits = not os.path.exists(place) or os.path.isfile(place)
+    table.expect(fits, "head", name, f"{expected} ({place!s:.200}: no regular file)")
     try:
         return load_head(place)
     except UnreadableFileError as error:
         asked = f"{expected} ({error.path:.200}: {error.reason})"
-        raise HeadFileError("head", name, asked, path) from error
+        raise HeadFileError("head", name, asked) from error
 
 
 def _target(table: Table, path: str) -> GazeTarget:
@@ -686,16 +620,7 @@ def _target(table: Table, path: str) -> GazeTarget:
 
 
 def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) -> None:
-    """Write signs and zeros of some servos into their file, atomically.
-
-    Args:
-        path: the file; it is read again, so other changes in it stay.
-        servos: the servos to write, matched by name.
-
-    Raises:
-        UnreadableFileError: the file no longer has such a servo, or is not TOML.
-        OSError: it cannot be read or written.
-    """
+    """Write signs and zeros of some servos, by name, into their file; all else in it stays."""
 
     def change(document: Any) -> None:
         tables = {table["name"]: table for table in document["servos"]}
@@ -711,13 +636,7 @@ def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) ->
 def write_loop(
     path: str | os.PathLike[str], loop: LoopConfig, latencies_s: Mapping[str, float]
 ) -> None:
-    """Write the measured loop and the latencies of the cameras, atomically.
-
-    Args:
-        path: the file; see `write_servos` for it and for the errors.
-        loop: the new content of `[loop]`.
-        latencies_s: camera latencies by name, `left` or `right`, s.
-    """
+    """Write the measured loop, and the cameras' latencies, s, by `left` and `right`."""
 
     def change(document: Any) -> None:
         import tomlkit
@@ -756,25 +675,17 @@ def _edit(path: str | os.PathLike[str], change: Callable[[Any], None], expected:
     write_atomic(place, mark + tomlkit.dumps(document).encode())
 
 
-_LOOP_OPTIONS: Final = (
-    "jitter_s", "command_latency_s", "lag_s", "speed_gain", "backlash_rad", "acceleration_ratio"
-)  # fmt: skip
-
-
 def loop_variation(config: HardwareConfig) -> Variation:
     """Make the variation of simulated trials whose loop is that of a robot.
 
-    Args:
-        config: the robot.
-
-    Returns:
-        The mean latency of its cameras, a random phase of exposure, and all measured values of its
-        loop; the other values are those of its head.
+    It has the mean latency of the cameras, a random phase of exposure, and all measured values of
+    the loop; the other values are those of the head.
     """
     latency_s, loop = float(np.mean([camera.latency_s for camera in config.cameras])), config.loop
     values: dict[str, float | None] = {"latency_s": latency_s}
     if loop is not None:
-        values = {name: getattr(loop, name) for name in _LOOP_OPTIONS}
+        measured = [one for one in (*_LOOP_VALUES, *_LOOP_OPTIONAL) if one in IMPERFECTIONS]
+        values = {name: getattr(loop, name) for name in measured}
         # in simulation detection and computing a command take no time
         values["latency_s"] = latency_s + loop.computing_s
         # the encoder readings date everything else, so they have no latency themselves

@@ -9,7 +9,7 @@ record.reading.positions                        # (steps + 1, n, 7) rad
 
 import warnings
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -76,10 +76,8 @@ class RobotListener:
 class BoardView(NamedTuple):
     """One view of a board by both eyes of a head at rest."""
 
-    time_s: float
-    """Time of the exposure, s; grows from view to view."""
-    positions: FloatArray
-    """(7,) measured joint angles, rad."""
+    time_s: float  # time of the exposure, s; grows from view to view
+    positions: FloatArray  # (7,) measured joint angles, rad
     corners_px: tuple[FloatArray | None, FloatArray | None]
     """(n, 2) raw pixels of the board's corners by eye, nan for corners that were not found; None
     for an eye to which the board is not visible."""
@@ -90,10 +88,8 @@ class BoardView(NamedTuple):
 class Looker(Protocol):
     """A head that can be turned, simulated or real, with a calibration board in front of it."""
 
-    head: HeadModel
-    """The known model of the head."""
-    target: PlanarTarget
-    """The board."""
+    head: HeadModel  # the known model of the head
+    target: PlanarTarget  # the board
 
     def look(self, q: FloatArray) -> BoardView:
         """Bring the head to rest near some joint angles, (7,) rad within the limits, and look once.
@@ -109,11 +105,8 @@ class Looker(Protocol):
 class Recorder:
     """Recorder of one run of a task: call it after every control period.
 
-    It then holds the readings of the sensors and the ground truth of all periods, one row each, see
-    `reading`, `truth`, `pixel_error` and `lost`.
-
-    All arrays have leading axes (rows, n) for n heads: one row for the start and one for each
-    recorded control period, so a trial that ended as planned has steps + 1 rows.
+    All arrays that it then holds have leading axes (rows, n) for n heads: one row for the start and
+    one for each recorded control period, so a trial that ended as planned has steps + 1 rows.
 
     Args:
         task: the task to record.
@@ -131,34 +124,26 @@ class Recorder:
         truth: Collection[str] = Truth._fields,
     ) -> None:
         self._task = task
-        self._length = steps + 1
-        self._rows = 0
-        self._reading = _allocate(Reading.empty(task.num), reading, self._length)
-        self._truth_fields = truth
-        self._truth: Truth | None = None
-        seen = self._length if "pixels" in reading else 0
-        self._pixel_error = np.empty((seen, task.num, 2, 2))
-        self._lost = np.empty((self._length, task.num), dtype=np.bool_)
+        length, self._rows = steps + 1, 0
+        self._reading = _allocate(Reading.empty(task.num), reading, length)
+        unknown = Truth.unknown(task.num) if truth else None
+        self._truth = None if unknown is None else _allocate(unknown, truth, length)
+        self._pixel_error = np.empty((length if "pixels" in reading else 0, task.num, 2, 2))
+        self._lost = np.empty((length, task.num), dtype=np.bool_)
 
     def __call__(self, step: int) -> None:
-        """Record the present; the `record` callback of `vergence.envs.task.rollout`.
-
-        Args:
-            step: row to write, counted from 0; later rows are dropped.
-        """
+        """Record the present as a row, the `record` of `vergence.envs.task.rollout`."""
         task = self._task
         self._rows = step + 1
         _store(self._reading, task.reading, step)
         if len(self._pixel_error):
             self._pixel_error[step] = task.pixel_error
         self._lost[step] = task.lost
-        truth = task.truth() if self._truth_fields else None
-        if truth is None:
-            self._truth, self._truth_fields = None, ()
-            return
-        if self._truth is None:
-            self._truth = _allocate(Truth.unknown(task.num), self._truth_fields, self._length)
-        _store(self._truth, truth, step)
+        truth = None if self._truth is None else task.truth()
+        if self._truth is None or truth is None:  # unknown once, unknown for good
+            self._truth = None
+        else:
+            _store(self._truth, truth, step)
 
     @property
     def reading(self) -> Reading:
@@ -198,6 +183,10 @@ def _store(rows: _Part, present: _Part, step: int) -> None:
             part[step] = now
 
 
+def _root_mean_square(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 class LoopHealth:
     """Judges a robot's readings, one after the other: gaps of the eyes' rays, and late periods."""
 
@@ -205,7 +194,7 @@ class LoopHealth:
         self._head = head
         self._ratios: deque[float] = deque(maxlen=_WINDOW)
         self._gaps_m: deque[float] = deque(maxlen=_WINDOW)
-        self._last_s, self._moved_s, self._exposure_s = float("inf"), 0.0, float("nan")
+        self._last_s, self._moved_s, self._exposure_s = np.inf, 0.0, np.nan
         self.missed_periods = self.periods = 0
 
     def add(self, reading: Reading) -> None:
@@ -232,14 +221,11 @@ class LoopHealth:
     @property
     def gap_ratio(self) -> float:
         """Root mean square of the last gaps over their predicted spread; nan if there are few."""
-        if len(self._ratios) < _MIN_IMAGES:
-            return float("nan")
-        return float(np.sqrt(np.mean(np.square(self._ratios))))
+        return _root_mean_square(self._ratios) if len(self._ratios) >= _MIN_IMAGES else np.nan
 
     def gap_text(self) -> str:
         """Description of the last gaps, if there are any."""
-        gap_mm = 1e3 * float(np.sqrt(np.mean(np.square(self._gaps_m))))
-        ratio = self.gap_ratio
+        gap_mm, ratio = 1e3 * _root_mean_square(self._gaps_m), self.gap_ratio
         return f"gap of the eyes' rays {gap_mm:.2f} mm, {ratio:.1f} times its predicted spread"
 
     def words(self) -> list[str]:

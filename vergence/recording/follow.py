@@ -1,8 +1,7 @@
 """Following of a robot's log that another process still writes, for a live view, and its clicks.
 
-A call returns what was appended since the last one. Memory stays flat: nothing is kept but the
-head and the facts. Old chunks are skipped without unpacking them, so that attaching to a log of
-hours is quick. The file is only read, never locked, so the writer does not notice.
+Old chunks are skipped without unpacking them, so that attaching to a log of hours is quick. The
+file is only read, never locked, so the writer does not notice.
 """
 
 import json
@@ -10,7 +9,9 @@ import os
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
@@ -23,11 +24,11 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
 from vergence.recording.log import (
-    EXPECTED_FILE,
     MAX_CHUNK_BYTES,
     LogContent,
     open_log,
     records_in,
+    unreadable,
 )
 from vergence.recording.schema import Topic
 
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 _FRAME_BYTES: Final = 9
 """Size of a record's opcode and length (physical: defined by MCAP)."""
+_FOLLOWED: Final = (schema.TRIAL, schema.READING, schema.TRUTH, schema.FAULT, schema.NOTES)
+"""Topics whose messages are all decoded."""
 _WARNING: Final = 3
 """Level of a warning in foxglove.Log (physical: defined by it)."""
 
@@ -43,28 +46,22 @@ _WARNING: Final = 3
 class FollowedReading(NamedTuple):
     """A reading of the head."""
 
-    trial: int
-    """Number of the trial; 0 if its start was not found."""
-    begun_s: float
-    """Time of the trial's start, s of the robot's clock."""
-    reading: Reading
-    """The reading; its arrays lack the axis over heads."""
+    trial: int  # number of the trial; 0 if its start was not found
+    begun_s: float  # time of the trial's start, s of the robot's clock
+    reading: Reading  # the reading; its arrays lack the axis over heads
 
 
 class FollowedImage(NamedTuple):
     """An image of an eye."""
 
-    exposed_s: float
-    """Time of the exposure, s of the robot's clock."""
-    jpeg: bytes
-    """The JPEG; see `vergence.recording.log.read_jpeg`."""
+    exposed_s: float  # time of the exposure, s of the robot's clock
+    jpeg: bytes  # the JPEG; see `vergence.recording.log.read_jpeg`
 
 
 class FollowedNote(NamedTuple):
     """A warning or an error of the package's loggers."""
 
-    level: int
-    """3 for a warning, 4 for an error, 5 for a fatal one, as in foxglove.Log."""
+    level: int  # 3 for a warning, 4 for an error, 5 for a fatal one, as in foxglove.Log
     message: str
 
 
@@ -76,33 +73,17 @@ class NewEvents(NamedTuple):
     """Ground truth, if it is logged: each follows the reading of its time, maybe one call later."""
     images: tuple[FollowedImage | None, FollowedImage | None]
     """The newest image of the left and the right eye; None if there is no new one."""
-    stop_reasons: tuple[str, ...]
-    """Reasons for stops of the head."""
+    stop_reasons: tuple[str, ...]  # reasons for stops of the head
     notes: tuple[FollowedNote, ...]
 
 
 class LogFollower:
     """A robot's log, read while it is written; use it in a `with` statement.
 
-    An error ends the following: `poll` raises it once, after what was read before it, and returns
-    None from then on. To follow a new log at the path, create a new follower.
-
-    Args:
-        path: path of the log; it may still be empty.
-        history_s: greatest age, s, of messages that a call decodes, against the newest that it
-            finds, so that a first call, or one after a long pause, is quick; inf for all. Older
-            ones are skipped by chunks; of them, only the number of the current trial is looked up.
-
-    Attributes:
-        path: see the arguments.
-        head: the model that the controller uses; None until it has been read. It precedes all
-            events.
-        closed: true if the writer has closed the log and all of it has been read.
-        ended: true if no more events will come: the log is closed, or an error was raised.
-
-    Raises:
-        UnreadableFileError: the file cannot be opened.
-        ConfigurationError: mcap is not installed.
+    Messages older than `history_s` against the newest that a call finds are skipped by chunks; of
+    them, only the number of the current trial is looked up. `head`, the model that the controller
+    uses, precedes all events. `closed` tells that the writer has closed the log and that all of it
+    has been read; `ended`, that no more events will come: it is closed, or an error was raised.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, history_s: float = 10.0) -> None:
@@ -138,10 +119,10 @@ class LogFollower:
     def poll(self) -> NewEvents | None:
         """What has been appended since the last call; None if there is nothing new.
 
+        An error ends the following: it is raised once, after what was read before it.
+
         Raises:
-            UnreadableFileError: the file is no log or is damaged, or it was deleted, replaced or
-                cut.
-            ConfigurationError: the head is invalid, or a message does not match its topic.
+            VergenceError: the file is no log or is damaged, or it was deleted, replaced or cut.
         """
         if self.ended:
             return None
@@ -157,29 +138,22 @@ class LogFollower:
         lost = self._lost()  # before reading, so that all that was written until then is read
         recent: deque[Chunk] = deque()
         found: dict[str, list[Any]] = defaultdict(list)
-        images: list[FollowedImage | None] = [None, None]
-        try:
-            self._scan(recent)
-        except VergenceError as error:
-            self._error = error
-        try:
-            self._find_trial(recent)
-            newest: dict[str, bytes] = {}
-            for chunk in recent:
-                self._decode(chunk, found, newest)
-            for eye, topic in enumerate(schema.IMAGES):
-                if topic.name in newest:
-                    images[eye] = FollowedImage(*self._value(topic, newest[topic.name]))
-        except VergenceError as error:  # it lies before one of the scan
-            self._error = error
+        for read in (partial(self._scan, recent), partial(self._decode, recent, found)):
+            try:  # an error of decoding lies before one of the scan
+                read()
+            except ConfigurationError as error:
+                self._error = ConfigurationError(f"{self.path}: {error}")
+            except VergenceError as error:
+                self._error = error
         if lost and self._error is None and not self.closed:
-            self._error = self._unreadable(lost)
-        if not found and images == [None, None]:
+            self._error = unreadable(self.path, lost)
+        if not found:
             return None
+        left, right = ((found[topic.name] or [None])[-1] for topic in schema.IMAGES)
         return NewEvents(
             readings=tuple(found[schema.READING.name]),
             truths=tuple(found[schema.TRUTH.name]),
-            images=(images[0], images[1]),
+            images=(left, right),
             stop_reasons=tuple(found[schema.FAULT.name]),
             notes=tuple(found[schema.NOTES.name]),
         )
@@ -221,12 +195,12 @@ class LogFollower:
 
         size = os.fstat(self._file.fileno()).st_size
         if size < self._at:
-            raise self._unreadable("it became shorter while it was followed")
+            raise unreadable(self.path, "it became shorter while it was followed")
         self._file.seek(self._at)
         if not self._at:
             magic = self._file.read(len(MCAP0_MAGIC))
             if not MCAP0_MAGIC.startswith(magic):
-                raise self._unreadable("it is no MCAP file")
+                raise unreadable(self.path, "it is no MCAP file")
             if len(magic) < len(MCAP0_MAGIC):
                 return
             self._at = len(MCAP0_MAGIC)
@@ -238,7 +212,7 @@ class LogFollower:
         while self._at + _FRAME_BYTES <= size:
             kind, length = stream.read1(), stream.read8()
             if not kind or length > MAX_CHUNK_BYTES:
-                raise self._unreadable(f"it is damaged at byte {self._at}")
+                raise unreadable(self.path, f"it is damaged at byte {self._at}")
             end = self._at + _FRAME_BYTES + length
             if end > size:
                 return
@@ -252,32 +226,30 @@ class LogFollower:
                 yield record
             self._at = self._file.seek(end)
 
-    def _find_trial(self, recent: "deque[Chunk]") -> None:
-        """Read the number of the newest trial if it began in a skipped chunk."""
-        chunk, self._trial_chunk = self._trial_chunk, None
-        if chunk is not None and not any(one is chunk for one in recent):
-            for topic, data in self._messages(chunk):
+    def _decode(self, recent: "deque[Chunk]", found: dict[str, list[Any]]) -> None:
+        """Gather the events of some chunks, and the newest trial's number from a skipped one."""
+        skipped, self._trial_chunk = self._trial_chunk, None
+        if skipped is not None and not any(one is skipped for one in recent):
+            for topic, data in self._messages(skipped):
                 if topic is schema.TRIAL:
-                    self._trial = self._value(topic, data)
-
-    def _decode(
-        self, chunk: "Chunk", found: dict[str, list[Any]], newest: dict[str, bytes]
-    ) -> None:
-        """Gather the events of a chunk; images are decoded at the end, as most are replaced."""
-        for topic, data in self._messages(chunk):
+                    self._trial = self._content.message(topic, data)
+        images: dict[str, tuple[Topic, bytes]] = {}  # decoded at the end, as most are replaced
+        for topic, data in chain.from_iterable(map(self._messages, recent)):
             if topic in schema.IMAGES:
-                newest[topic.name] = data
-            elif topic is schema.TRIAL:
-                self._trial = self._value(topic, data)
+                images[topic.name] = topic, data
+            if topic not in _FOLLOWED:
+                continue
+            value = self._content.message(topic, data)
+            if topic is schema.TRIAL:
+                self._trial = value
             elif topic is schema.READING:
-                reading = FollowedReading(self._trial, *self._value(topic, data))
-                found[topic.name].append(reading)
-            elif topic in (schema.TRUTH, schema.FAULT):
-                found[topic.name].append(self._value(topic, data))
-            elif topic is schema.NOTES:
-                note = self._value(topic, data)
-                if note["level"] >= _WARNING:
-                    found[topic.name].append(FollowedNote(note["level"], note["message"]))
+                found[topic.name].append(FollowedReading(self._trial, *value))
+            elif topic is not schema.NOTES:
+                found[topic.name].append(value)
+            elif value["level"] >= _WARNING:
+                found[topic.name].append(FollowedNote(value["level"], value["message"]))
+        for name, message in images.items():
+            found[name].append(FollowedImage(*self._content.message(*message)))
 
     def _messages(self, chunk: "Chunk") -> Iterator[tuple[Topic, bytes]]:
         """Yield topics and data of the messages in a chunk, and keep its channels."""
@@ -290,13 +262,6 @@ class LogFollower:
             if topic is not None:
                 yield topic, cast("Message", record).data
 
-    def _value(self, topic: Topic, data: bytes) -> Any:
-        """Decode a message, see `LogContent.message`."""
-        try:
-            return self._content.message(topic, data)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{self.path}: {error}") from error
-
     def _lost(self) -> str:
         """Description of the file's loss, such as its deletion; empty while it is at its path."""
         try:
@@ -306,12 +271,11 @@ class LogFollower:
         same = os.path.samestat(now, os.fstat(self._file.fileno()))
         return "" if same else "it was replaced by another file while it was followed"
 
-    def _unreadable(self, reason: str) -> UnreadableFileError:
-        return UnreadableFileError(os.fspath(self.path), reason, EXPECTED_FILE)
-
     def _damaged(self, error: Exception) -> UnreadableFileError:
         reason = f"{type(error).__name__} {error}".strip()
-        return self._unreadable(f"it is damaged before byte {self._file.tell()}: {reason:.200}")
+        return unreadable(
+            self.path, f"it is damaged before byte {self._file.tell()}: {reason:.200}"
+        )
 
 
 def newest_log(folder: str | os.PathLike[str]) -> Path | None:
@@ -329,12 +293,9 @@ def newest_log(folder: str | os.PathLike[str]) -> Path | None:
 class Click(NamedTuple):
     """A click in an eye's image."""
 
-    eye: int
-    """0 for left, 1 for right."""
-    pixel: FloatArray
-    """(2,) raw pixel (u, v)."""
-    exposed_s: float
-    """Time of the image's exposure, s of the robot's clock."""
+    eye: int  # 0 for left, 1 for right
+    pixel: FloatArray  # (2,) raw pixel (u, v)
+    exposed_s: float  # time of the image's exposure, s of the robot's clock
 
 
 def write_click(log: Path, click: Click) -> None:

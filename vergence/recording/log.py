@@ -1,17 +1,16 @@
-"""Reading of a robot's log, complete or truncated by a crash, its recovery and its replay.
-
-The `mcap` package frames the file. None of a log's content is executed, and its sizes are bounded.
-"""
+"""Reading of a robot's log, complete or truncated by a crash, its recovery and its replay."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL.JpegImagePlugin import JpegImageFile
 
 from vergence.envs.plant import Plant
 from vergence.envs.reading import Image, Reading, Truth
@@ -21,7 +20,6 @@ from vergence.errors import (
     HardwareError,
     UnreadableFileError,
     VergenceError,
-    how_to_install,
 )
 from vergence.models.head import HeadModel
 from vergence.models.head_file import parse_head
@@ -35,14 +33,16 @@ from vergence.recording.schema import (
     Topic,
     decode_message,
     escape_control_characters,
+    import_mcap_writer,
 )
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord, Message
 
-EXPECTED_FILE: Final = "a log of a robot in MCAP, as vergence deploy writes it"
 MAX_CHUNK_BYTES: Final = 64 * 2**20
 """Largest size of an unpacked chunk, bytes (chosen: far above a log's, whose chunks span 50 ms)."""
+_MAX_PIXELS: Final = 64 * 10**6
+"""Largest size of an image, pixels (chosen: above any camera's)."""
 _MAX_TRIAL_S: Final = 1e5
 """Upper limit of times in a trial, s: a day; a log with later ones is refused (chosen)."""
 _TOPIC_BY_NAME: Final = {topic.name: topic for topic in schema.TOPICS}
@@ -52,6 +52,8 @@ _TYPES: Final[dict[str, type]] = {
     "/detection": LoggedDetection,
 }  # fmt: skip
 """Types of messages by the names of their topics."""
+_KEPT: Final = (schema.JOINTS, schema.DETECTION, schema.FAULT)
+"""Topics whose messages belong to the log, and not to a trial."""
 REPLAYED_ENTRY_POINT: Final = f"{__name__}:ReplayedPlant"
 """Entry point of the plant that replays a log."""
 
@@ -59,22 +61,21 @@ REPLAYED_ENTRY_POINT: Final = f"{__name__}:ReplayedPlant"
 # ---- records ----
 
 
+def unreadable(path: str | os.PathLike[str], reason: str) -> UnreadableFileError:
+    """The error of a file that is no log, or damaged."""
+    expected = "a log of a robot in MCAP, as vergence deploy writes it"
+    return UnreadableFileError(os.fspath(path), reason, expected)
+
+
 def open_log(path: str | os.PathLike[str]) -> BinaryIO:
     """Open a regular file for reading; refuse others, and all without the package mcap."""
-    try:
-        import mcap.stream_reader  # noqa: F401
-    except ImportError as error:
-        raise ConfigurationError(
-            f"log: expected mcap to be installed: {how_to_install('robot')}"
-        ) from error
+    import_mcap_writer()
     if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
-        raise UnreadableFileError(os.fspath(path), "no regular file", EXPECTED_FILE)
+        raise unreadable(path, "no regular file")
     try:
         return open(path, "rb")
     except OSError as error:
-        raise UnreadableFileError(
-            os.fspath(path), error.strerror or str(error), EXPECTED_FILE
-        ) from error
+        raise unreadable(path, error.strerror or str(error)) from error
 
 
 def records_in(chunk: "McapRecord") -> "list[McapRecord]":
@@ -108,13 +109,7 @@ def records_in(chunk: "McapRecord") -> "list[McapRecord]":
 def read_records(
     path: str | os.PathLike[str], on_truncation: Callable[[str], None] = lambda reason: None
 ) -> "Iterator[McapRecord]":
-    """Yield a file's records in order, with those in chunks, up to its end or to any damage.
-
-    `on_truncation` is called with the reason if the file ends early.
-
-    Raises:
-        UnreadableFileError: the file cannot be read, or is no MCAP file.
-    """
+    """Yield a file's records, also those in chunks, up to its end or `on_truncation(reason)`."""
     with open_log(path) as file:
         from mcap.stream_reader import StreamReader
 
@@ -129,7 +124,7 @@ def read_records(
             except Exception as error:  # damage can make the library raise anything
                 if not begun:
                     reason = "it is no MCAP file" if size else "it is empty"
-                    raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE) from error
+                    raise unreadable(path, reason) from error
                 on_truncation(f"{type(error).__name__} {error}".strip())
                 return
             begun = True
@@ -139,20 +134,16 @@ def read_records(
 def recover_log(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
     """Copy all readable records of a truncated MCAP file to a new, complete one."""
     from mcap.records import Attachment, Channel, Message, Metadata, Schema
-    from mcap.writer import Writer
 
     schemas = {0: 0}
     channels: dict[int, int] = {}
     with open(out, "xb") as file:
-        writer = cast(Any, Writer(file))  # some of its methods have no types
+        writer = import_mcap_writer()(file)
         writer.start()
         for one in read_records(path):
-            if isinstance(one, Message):
-                if one.channel_id in channels:
-                    number = channels[one.channel_id]
-                    writer.add_message(
-                        number, one.log_time, one.data, one.publish_time, one.sequence
-                    )
+            if isinstance(one, Message) and one.channel_id in channels:
+                number = channels[one.channel_id]
+                writer.add_message(number, one.log_time, one.data, one.publish_time, one.sequence)
             elif isinstance(one, Schema) and one.id not in schemas:  # a file's end repeats them
                 schemas[one.id] = writer.register_schema(one.name, one.encoding, one.data)
             elif isinstance(one, Channel) and one.id not in channels:
@@ -197,7 +188,7 @@ class LogContent:
     def head(self, path: str | os.PathLike[str], headless: str = "it has no head") -> HeadModel:
         """The model that the controller uses, of the log at a path."""
         if schema.HEAD_FILE not in self.files or not self.facts:
-            raise UnreadableFileError(os.fspath(path), headless, EXPECTED_FILE)
+            raise unreadable(path, headless)
         version = self.facts.get("schema", "unknown")
         if version != schema.SCHEMA_VERSION:
             raise UnreadableFileError(
@@ -206,7 +197,7 @@ class LogContent:
         try:
             return parse_head(self.files[schema.HEAD_FILE])
         except VergenceError as error:
-            raise ConfigurationError(f"{path}: {schema.HEAD_FILE}: {error}") from error
+            raise ConfigurationError(f"{schema.HEAD_FILE}: {error}") from error
 
     def message(self, topic: Topic, data: bytes) -> Any:
         """Decode a message; its arrays lack the axis over heads.
@@ -241,11 +232,13 @@ class LogContent:
 
 
 def read_jpeg(data: bytes) -> Image | None:
-    """Decode a JPEG to grey levels, (height, width); None if it is broken."""
+    """Decode a JPEG to grey levels, (height, width); None if it is broken or too large."""
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+        if np.prod(JpegImageFile(BytesIO(data)).size) > _MAX_PIXELS:  # it reads the header alone
+            return None
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:  # also of more than 2**30 pixels
+    except (SyntaxError, OSError, cv2.error):
         return None
     return None if image is None else np.asarray(image, np.uint8)
 
@@ -253,23 +246,23 @@ def read_jpeg(data: bytes) -> Image | None:
 # ---- whole logs ----
 
 
+_Images = tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class LoggedTrial:
     """One trial of a log."""
 
     number: int
-    begun_s: float
-    """Time of the trial's start, s of the robot's clock."""
-    readings: Reading
-    """Readings of shape (steps + 1, 1, ...), from time zero."""
+    begun_s: float  # time of the trial's start, s of the robot's clock
+    readings: Reading  # readings of shape (steps + 1, 1, ...), from time zero
     truths: Truth | None
     """Ground truth at the times of the readings; None if they end early, as where a point was
     named meanwhile; nan if one is missing."""
     commands: tuple[LoggedCommand, ...]
     """The policy's commands, one before each reading but the first; one more if a fault prevented
     the last reading."""
-    images: tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]]
-    """Exposure times, s of the clock, and JPEGs, of the left and the right eye."""
+    images: _Images  # exposure times, s of the clock, and JPEGs, of the left and the right eye
 
     @property
     def steps(self) -> int:
@@ -296,17 +289,13 @@ class Log:
 
     path: Path
     head: HeadModel
-    config: str
-    """Text of the file that describes the robot."""
-    facts: dict[str, str]
-    """Further facts, such as the controller, by name."""
+    config: str  # text of the file that describes the robot
+    facts: dict[str, str]  # further facts, such as the controller, by name
     trials: tuple[LoggedTrial, ...]
     joints: tuple[LoggedJoints, ...]
     detections: tuple[LoggedDetection, ...]
-    stop_reasons: tuple[str, ...]
-    """Reasons for stops of the head, in order."""
-    truncation_reason: str
-    """Reason for a truncated log; empty for one that was closed."""
+    stop_reasons: tuple[str, ...]  # reasons for stops of the head, in order
+    truncation_reason: str  # reason for a truncated log; empty for one that was closed
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
@@ -320,30 +309,36 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         ConfigurationError: a message does not match its topic, a trial is inconsistent, or mcap is
             not installed.
     """
-    parts, reasons = _LogBuilder(), [""]
-    for record in read_records(path, reasons.append):
-        topic = parts.add(record)
-        if topic is not None:
-            try:
-                parts.add_message(topic, cast("Message", record).data)
-            except ConfigurationError as error:
-                raise ConfigurationError(f"{path}: {error}") from error
-    head = parts.head(path, "it is cut off before its head" if reasons[-1] else "it has no head")
+    import_mcap_writer()  # whose absence is no fault of this file
+    content, reasons = LogContent(), [""]
+    trials: list[_OpenTrial] = []
+    kept: dict[str, list[Any]] = {one.name: [] for one in _KEPT}
     try:
-        trials = tuple(trial.finish() for trial in parts.trials if trial.readings)
+        for record in read_records(path, reasons.append):
+            topic = content.add(record)
+            if topic is None:
+                continue
+            value = content.message(topic, cast("Message", record).data)
+            if topic is schema.TRIAL:
+                trials.append(_OpenTrial(value))
+            elif topic in _KEPT:
+                kept[topic.name].append(value)
+            elif trials:
+                trials[-1].add(topic, value)
+        cut = "it is cut off before its head" if reasons[-1] else "it has no head"
+        return Log(
+            path=Path(path),
+            head=content.head(path, cut),
+            config=content.files.get(schema.CONFIG_FILE, ""),
+            facts=content.facts,
+            trials=tuple(trial.finish() for trial in trials if trial.readings),
+            joints=tuple(kept[schema.JOINTS.name]),
+            detections=tuple(kept[schema.DETECTION.name]),
+            stop_reasons=tuple(kept[schema.FAULT.name]),
+            truncation_reason=reasons[-1],
+        )
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error
-    return Log(
-        path=Path(path),
-        head=head,
-        config=parts.files.get(schema.CONFIG_FILE, ""),
-        facts=parts.facts,
-        trials=trials,
-        joints=tuple(parts.joints),
-        detections=tuple(parts.detections),
-        stop_reasons=tuple(parts.stop_reasons),
-        truncation_reason=reasons[-1],
-    )
 
 
 @dataclass
@@ -355,9 +350,19 @@ class _OpenTrial:
     readings: list[Reading] = field(default_factory=list)
     truths: dict[int, Truth] = field(default_factory=dict)
     commands: list[LoggedCommand] = field(default_factory=list)
-    images: tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]] = field(
-        default_factory=lambda: ([], [])
-    )
+    images: _Images = field(default_factory=lambda: ([], []))
+
+    def add(self, topic: Topic, value: Any) -> None:
+        """Add a message."""
+        if topic is schema.READING:
+            self.begun_s, reading = value
+            self.readings.append(reading)
+        elif topic is schema.TRUTH:
+            self.truths[len(self.readings) - 1] = value
+        elif topic is schema.COMMAND and value.by == CommandOrigin.POLICY.value:
+            self.commands.append(value)
+        elif topic in schema.IMAGES:
+            self.images[schema.IMAGES.index(topic)].append(value)
 
     def finish(self) -> LoggedTrial:
         """Convert the trial to arrays, and refuse inconsistent ones."""
@@ -391,41 +396,6 @@ def _columns(rows: Sequence[Reading] | Sequence[Truth]) -> Iterator[NDArray[Any]
     """Stack the fields of some rows, with axes over times and heads."""
     for column in zip(*rows, strict=True):
         yield np.stack(column)[:, None]
-
-
-class _LogBuilder(LogContent):
-    """Content of the log read so far."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.trials: list[_OpenTrial] = []
-        self.joints: list[LoggedJoints] = []
-        self.detections: list[LoggedDetection] = []
-        self.stop_reasons: list[str] = []
-
-    def add_message(self, topic: Topic, data: bytes) -> None:
-        """Add a message of the file."""
-        value = self.message(topic, data)
-        if topic is schema.TRIAL:
-            self.trials.append(_OpenTrial(value))
-        elif topic is schema.DETECTION:
-            self.detections.append(value)
-        elif topic is schema.JOINTS:
-            self.joints.append(value)
-        elif topic is schema.FAULT:
-            self.stop_reasons.append(value)
-        elif not self.trials:
-            return
-        elif topic is schema.READING:
-            self.trials[-1].begun_s, reading = value
-            self.trials[-1].readings.append(reading)
-        elif topic is schema.TRUTH:
-            self.trials[-1].truths[len(self.trials[-1].readings) - 1] = value
-        elif topic is schema.COMMAND:
-            if value.by == CommandOrigin.POLICY.value:
-                self.trials[-1].commands.append(value)
-        elif topic in schema.IMAGES:
-            self.trials[-1].images[schema.IMAGES.index(topic)].append(value)
 
 
 # ---- replay ----
@@ -474,9 +444,8 @@ class ReplayedPlant(Plant):
 
     def truth(self) -> Truth | None:
         """Logged ground truth of the present; None if none is logged."""
-        if self._trial.truths is None:
-            return None
-        return Truth._make(values[self._step] for values in self._trial.truths)
+        truths = self._trial.truths
+        return None if truths is None else Truth._make(values[self._step] for values in truths)
 
     def close(self) -> None:
         """Do nothing: no resource is held."""

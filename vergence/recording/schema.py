@@ -13,17 +13,17 @@ steady clock, s. A reading's `begun_s` is the time of the trial's start on that 
 import base64
 import json
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, Final, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.envs.reading import Reading, Truth
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, how_to_install
 from vergence.models.parts import EYE_NAMES, FloatArray
 
 SCHEMA_VERSION: Final = "1"
@@ -38,6 +38,17 @@ _JSON_TYPES: Final[dict[str, set[type]]] = {"b": {bool}, "i": {int}, "f": {int, 
 """Types of a JSON value by the kind of its array."""
 _MAX_UNIX_TIME_S: Final = 2**33
 """Upper limit of times of day, s since 1970: some 270 years (chosen)."""
+
+
+def import_mcap_writer() -> Callable[[BinaryIO], Any]:
+    """The class `mcap.writer.Writer`, some of whose methods have no types."""
+    try:
+        from mcap.writer import Writer
+    except ImportError as error:
+        raise ConfigurationError(
+            f"log: expected mcap to be installed: {how_to_install('robot')}"
+        ) from error
+    return Writer
 
 
 class CommandOrigin(Enum):
@@ -149,9 +160,8 @@ _JOINTS: Final[Form] = np.zeros(7)
 _PIXEL: Final[Form] = np.zeros(2)
 _PIXELS: Final[Form] = np.zeros((0, 2))
 _COMMAND_FORMS: Final = (_NUMBER, _JOINTS, _JOINTS, str, str)
-_DETECTION_FORMS: Final = (
-    str, _NUMBER, _NUMBER, _JOINTS, _PIXEL, _PIXEL, _PIXELS, _PIXELS,
-)  # fmt: skip
+_JOINTS_FORMS: Final = (_NUMBER, _JOINTS, _JOINTS)
+_DETECTION_FORMS: Final = (str, _NUMBER, _NUMBER, _JOINTS, _PIXEL, _PIXEL, _PIXELS, _PIXELS)
 TRIAL: Final = Topic("/trial", "vergence.Trial", {"number": _INTEGER})
 """Start of a trial; the next reading is at its time zero."""
 READING: Final = Topic(
@@ -163,9 +173,7 @@ COMMAND: Final = Topic(
 )
 """Each command; a policy's precedes the reading at its period's end, see `LoggedCommand`."""
 JOINTS: Final = Topic(
-    "/joints",
-    "vergence.Joints",
-    dict(zip(LoggedJoints._fields, (_NUMBER, _JOINTS, _JOINTS), strict=True)),
+    "/joints", "vergence.Joints", dict(zip(LoggedJoints._fields, _JOINTS_FORMS, strict=True))
 )
 """Each measurement of the joints, in trials and while moving to their start, see `LoggedJoints`."""
 TRUTH: Final = Topic("/truth", "vergence.Truth", _of_head(Truth.unknown(1)))
@@ -218,11 +226,7 @@ def _json_value(value: Any) -> Any:
 
 
 def decode_message(topic: Topic, data: bytes) -> dict[str, Any]:
-    """Values of a message by field: arrays, numbers, text, bytes, or ns since 1970.
-
-    Raises:
-        ConfigurationError: the data is no JSON object, or a field does not match its form.
-    """
+    """Values of a message by field: arrays, numbers, text, bytes, or ns since 1970."""
     try:
         found = json.loads(data)
     except (ValueError, RecursionError) as error:

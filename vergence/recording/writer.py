@@ -1,7 +1,6 @@
-"""Writing of a robot's log while it runs: the control loop queues messages, a thread writes them.
+"""Writing of a robot's log: the control loop queues messages, a thread writes them every 50 ms.
 
-The thread writes the queue every 50 ms and flushes it to the operating system. A kill therefore
-loses at most 50 ms, and a slow disk never delays the loop.
+So a kill loses at most 50 ms, and a slow disk never delays the loop.
 """
 
 import json
@@ -14,13 +13,13 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
 from vergence.envs.reading import Image, Reading, Truth
-from vergence.errors import ConfigurationError, VergenceWarning, how_to_install
+from vergence.errors import ConfigurationError, VergenceWarning
 from vergence.models.head import HeadModel
 from vergence.models.head_file import head_to_toml
 from vergence.models.parts import FloatArray
@@ -32,6 +31,7 @@ from vergence.recording.schema import (
     LoggedJoints,
     Topic,
     encode_message,
+    import_mcap_writer,
 )
 
 _LOGGER: Final = logging.getLogger("vergence")
@@ -41,8 +41,6 @@ _MAX_QUEUED: Final = 5000
 """Largest number of queued messages, about ten seconds; beyond it the log ends (chosen)."""
 _JPEG_QUALITY: Final = 90
 """JPEG quality of logged images, 0 to 100 (chosen: detail against size of the log)."""
-_FOXGLOVE_LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
-"""Pairs of Python's logging level and Foxglove's (physical: defined by both)."""
 
 
 class LogWriter(RobotListener):
@@ -60,8 +58,6 @@ class LogWriter(RobotListener):
         wall_ns: function that returns the time of day, ns since 1970.
 
     Attributes:
-        path: path of the file.
-        images: see the arguments.
         begun_s: time of the current trial's start, s of the clock.
         commanded: true if any command has been kept.
         reason: reason for a stop since the start of the current trial; empty if there is none.
@@ -82,12 +78,7 @@ class LogWriter(RobotListener):
         clock: Callable[[], float] = time.monotonic,
         wall_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        try:
-            from mcap.writer import Writer
-        except ImportError as error:
-            raise ConfigurationError(
-                f"log: expected mcap to be installed: {how_to_install('robot')}"
-            ) from error
+        make_writer = import_mcap_writer()
         self.path = Path(path)
         self.images = images
         self.begun_s = np.nan
@@ -102,7 +93,7 @@ class LogWriter(RobotListener):
             self._file = self.path.open("xb")
         except OSError as error:
             raise _unwritable(path, error) from error
-        self._mcap = cast(Any, Writer(self._file))  # some of its methods have no types
+        self._mcap = make_writer(self._file)
         try:
             self._begin_file(head, config, facts or {}, wall_ns())
         except OSError as error:  # such as a full disk
@@ -118,20 +109,13 @@ class LogWriter(RobotListener):
         self._thread.start()
 
     def _begin_file(
-        self, head: HeadModel, config: str, facts: Mapping[str, str], now_ns: int
+        self, head: HeadModel, config: str, more: Mapping[str, str], now_ns: int
     ) -> None:
         """Write the facts, the attachments and the schemas."""
         self._mcap.start(library="vergence")
-        self._mcap.add_metadata(
-            schema.FACTS_RECORD_NAME,
-            {
-                "schema": schema.SCHEMA_VERSION,
-                "head": head.name,
-                "head_digest": head.digest,
-                "clock_zero_ns": str(self._zero_ns),
-                **facts,
-            },
-        )
+        facts = {"schema": schema.SCHEMA_VERSION, "head": head.name, "head_digest": head.digest}
+        facts |= {"clock_zero_ns": str(self._zero_ns), **more}
+        self._mcap.add_metadata(schema.FACTS_RECORD_NAME, facts)
         for name, text in ((schema.HEAD_FILE, head_to_toml(head)), (schema.CONFIG_FILE, config)):
             self._mcap.add_attachment(now_ns, now_ns, name, "application/toml", text.encode())
         self._channels = {}
@@ -178,7 +162,7 @@ class LogWriter(RobotListener):
         self._put(schema.DETECTION, detection.ready_s, detection._asdict())
 
     def image(self, eye: int, image: Image, exposed_s: float) -> None:
-        """Keep an image of an eye as a JPEG, see `RobotListener.image`."""
+        """Keep an image of an eye as a JPEG."""
         topic = schema.IMAGES[eye]
         self._put(topic, exposed_s, {"frame_id": topic.name, "data": image, "format": "jpeg"})
 
@@ -189,10 +173,7 @@ class LogWriter(RobotListener):
             self._put(schema.FAULT, self._clock(), {"text": reason})
 
     def sync(self) -> None:
-        """Flush all kept messages to the operating system before returning; not for use in a loop.
-
-        A kill then loses none of them. An error is reported in `fault`.
-        """
+        """Flush all kept messages, so that a kill loses none of them; not for use in a loop."""
         if not self._closing.is_set():
             self._attempt(self._write)
 
@@ -267,9 +248,8 @@ class _Handler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """See `logging.Handler`."""
-        level = next((ours for theirs, ours in _FOXGLOVE_LEVELS if record.levelno >= theirs), 0)
         message = {
-            "level": level,
+            "level": min(record.levelno // 10, 5),  # Foxglove's, 1 to 5, of Python's 10 to 50
             "message": record.getMessage(),
             "name": record.name,
             "file": record.filename,
