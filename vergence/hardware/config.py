@@ -72,6 +72,16 @@ from vergence.models.toml_table import Rule, Table
 from vergence.vision.objects.targets import GazeTarget, parse_gaze_target
 from vergence.vision.targets import AprilTag, Target, parse_target
 
+__all__ = [
+    "BusConfig",
+    "CameraConfig",
+    "HardwareConfig",
+    "ServoConfig",
+    "actuator_slots",
+    "load_hardware",
+    "refuse_other_head",
+]
+
 KINDS: Final[dict[str, type[Servos]]] = {"dynamixel": DynamixelServos}
 """Kinds of buses by their name in `[bus]`; `module:class` is somebody's own."""
 
