@@ -2,6 +2,7 @@
 
 import logging
 import os
+import threading
 import time
 from unittest.mock import Mock
 
@@ -18,6 +19,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.drive import JointHistory
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.checks import cycle_timeout_s
+from vergence.hardware.dynamixel.packets import ErrorNumber
 from vergence.hardware.dynamixel.servos import DynamixelServos
 from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.world import World
@@ -431,3 +433,116 @@ def test_a_stop_is_an_error_with_its_reason(logged, caplog):
     (error,) = [one for one in caplog.records if one.levelno == logging.ERROR]
     assert logged.plant.fault
     assert error.getMessage() == f"stopped: {logged.plant.fault}"
+
+
+SLOW = np.array([[0.0, 0.0, 0.0, 0.6, 0.3, 0.2, 0.2]])
+
+
+def lost_torque(robot):
+    return [torque == 0 for torque in robot.registers(table.TORQUE_ENABLE)]
+
+
+@pytest.fixture
+def turning(robot):
+    robot.begin()
+    for _ in range(25):
+        robot.plant.step(SLOW)
+    return robot
+
+
+def test_a_joint_that_turns_on_at_a_reset_does_not_get_its_torque_back(turning):
+    turning.fault(what="inverted", ids=[1])
+    with pytest.raises(HardwareError, match="left_pan: expected rest at a velocity of zero"):
+        turning.begin()
+    assert lost_torque(turning) == [True, False, False, False]
+    turning.plant.close()
+    assert lost_torque(turning) == [True, False, False, False]
+
+
+def test_a_release_that_no_servo_confirms_is_tried_again(turning, monkeypatch):
+    servo, lost = turning.world.servos["left_pan"], []
+    write = servo.write
+
+    def refuses(address, data):
+        if (address, data) == (table.TORQUE_ENABLE.address, b"\0") and len(lost) < 4:
+            lost.append(data)
+            return ErrorNumber.RESULT_FAIL
+        return write(address, data)
+
+    monkeypatch.setattr(servo, "write", refuses)
+    turning.fault(what="inverted", ids=[1])
+    turning.plant.rest("somebody asked")
+    assert "left_pan without torque" not in turning.plant.fault
+    turning.plant.close()
+    assert lost_torque(turning) == [True, False, False, False]
+
+
+def test_servos_that_were_being_armed_are_left_without_a_watchdog(robot, monkeypatch):
+    servo = robot.world.servos["right_tilt"]
+    write = servo.write
+
+    def interrupts(address, data):
+        if address == table.BUS_WATCHDOG.address and data != b"\0":
+            raise KeyboardInterrupt
+        return write(address, data)
+
+    monkeypatch.setattr(servo, "write", interrupts)
+    with pytest.raises(KeyboardInterrupt):
+        robot.begin()
+    monkeypatch.undo()
+    robot.plant.close()
+    assert robot.registers(table.BUS_WATCHDOG) == [0] * 4
+
+
+def test_a_child_does_not_wait_for_its_parents_lock(turning, monkeypatch):
+    drive, held, done = turning.plant.robot.drive, threading.Event(), threading.Event()
+
+    def hold():
+        with drive._lock:
+            held.set()
+            done.wait(5.0)
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    held.wait()
+    with monkeypatch.context() as child:
+        child.setattr(drive, "_pid", -1)
+        drive.close()
+        assert not done.is_set()
+    done.set()
+    holder.join()
+
+
+@pytest.fixture
+def dry(monkeypatch):
+    one = VirtualRobot(monkeypatch, plant_options={"moves": False})
+    one.begin()
+    return one
+
+
+def test_a_joint_that_a_hand_turns_in_a_dry_run_keeps_its_torque(dry, monkeypatch):
+    for servo in dry.world.servos.values():
+        servo.set(table.TORQUE_ENABLE, 1)
+    bus, begun_s = dry.plant.robot._servos, dry.clock()
+    read = bus.read
+
+    def by_hand():
+        passed_s, now = dry.clock() - begun_s, read()
+        turns = np.array([min(2.0 * passed_s**2, 1.2), 0.0, 0.0, 0.0])
+        return now._replace(angles=now.angles + turns, speeds=np.array([4.0 * passed_s, 0, 0, 0]))
+
+    monkeypatch.setattr(bus, "read", by_hand)
+    for _ in range(60):
+        if not dry.plant.fault:
+            dry.plant.step(SLOW)
+    assert lost_torque(dry) == [False] * 4
+
+
+def test_a_dry_run_tells_of_servos_that_get_hot(dry):
+    def runs():
+        for _ in range(100):
+            dry.plant.step(SLOW)
+
+    dry.fault(what="temperature", ids=[1], value=65)
+    with pytest.warns(match="left_pan: temperature: expected below 62 C, got 65 C"):
+        runs()

@@ -10,7 +10,7 @@ from tests.hardware.fakes import FakeClock
 from tests.hardware.test_config import document, load
 from tests.hardware.virtual import VirtualRobot
 from tests.naming import named
-from vergence.errors import ConfigurationError, HeadFileError
+from vergence.errors import ConfigurationError, HardwareError, HeadFileError
 from vergence.hardware.checks import check_servos
 from vergence.hardware.config import load_hardware, write_servos
 from vergence.hardware.jog import Jogger
@@ -84,7 +84,7 @@ class Broken(OwnBus):
     ("error", r"bus: .*own_\d+\.py:\d+ in read: OSError: the plug is out"),
     ("silent", r"left_pan: expected an answer of the id 1, got none for 0\.1 s; cure: check its c"),
     ("told", "servos: left_pan: expected no smoke, got some"),
-    ("short", r"bus: ValueError: expected arrays of 4 servos from send, got the shapes \(3,\)"),
+    ("short", r"bus: expected arrays of 4 servos from send, got the shape \(3,\)"),
     ("stuck", "left_pan: expected the joint to follow its commands, got one that stands still"),
 ])  # fmt: skip
 def test_what_fails_in_it_stops_the_head_with_a_line(robot, how, said):
@@ -101,6 +101,62 @@ def test_what_fails_in_it_stops_the_head_with_a_line(robot, how, said):
         assert not bus._torque[:2].any()
     elif how != "error":
         assert not bus._goals.any()
+
+
+MISTAKES = {
+    "def read(self): return None": "expected a ServoReading from read, got None",
+    "def read(self): return super().read()._replace(time_s=0.0)": "expected a time of the clock",
+    "def read(self): return super().read()._replace(time_s=np.nan)": "expected a time of the clock",
+    "def read(self): return super().read()._replace(ages_s=0.0)": "arrays of 4 servos from read",
+    "def read(self): return super().read()._replace(ages_s=np.full(4, 0.2))":
+        r"expected the joints' angles within 0\.15 s",
+    "def read(self): return super().read()._replace(angles=np.full(4, 2.0), speeds=[np.nan] * 4)":
+        "left_tilt: expected an angle of",
+    "def send(self, speeds): return 0.0 * speeds + np.nan": "expected finite speeds from send",
+    "def check(self): return ['too hot']": "expected a list of Finding from check",
+    "def switch_on(self, which): raise ValueError('no torque')": "in switch_on: ValueError: no to",
+    "def open(self): raise OSError('no such device')": "in open: OSError: no such device",
+    "def must_let_go(self): return 7": "expected must_let_go of 4 servos",
+    "stops_alone_after_s = '0.2'": "expected seconds or None in stops_alone_after_s, got '0.2'",
+    "unit_rad = 0": "expected unit_rad above 0, got 0",
+    "def __init__(self, servos, head, clock): pass": "cannot be made: .*has no attribute 'servos'",
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning")
+def test_what_a_person_does_wrong_in_it_is_one_line(robot):
+    def runs(source):
+        prefix = "@property\n    " if "must_let_go" in source else ""
+        one = robot(f"class Wrong(OwnBus):\n    {prefix}{source}\n", "Wrong")
+        one.begin()
+        for _ in range(10):
+            one.plant.step(SLOW)
+        return one.plant.fault
+
+    for source, said in MISTAKES.items():
+        with named(source), pytest.raises((HardwareError, ConfigurationError), match=said):
+            runs(source)
+
+
+@pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning")
+def test_what_may_be_left_out_may_be_left_out(robot):
+    source = "class Short(OwnBus):\n    def check(self): pass\n    def describe(self): pass\n"
+    one = robot(source + "    def switch_on(self, which): super().switch_on(which)\n", "Short")
+    one.begin()
+    one.plant.step(SLOW)
+    assert one.plant.fault == ""
+    one.plant.close()
+
+
+@pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning")
+def test_a_bus_is_closed_once_for_each_time_that_it_was_opened(robot):
+    source = (
+        "class Once(OwnBus):\n    def close(self):\n        self._goals, gone = None, self._goals\n"
+    )
+    one = robot(source + "        assert gone is not None\n", "Once")
+    one.begin()
+    one.plant.close()
+    one.plant.close()
 
 
 @pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning")

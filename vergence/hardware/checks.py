@@ -13,7 +13,7 @@ import numpy as np
 from vergence.errors import ChecksFailedError, ConfigurationError, Finding, HardwareError
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.emulator.client import WorldClient
-from vergence.hardware.servos import JointAngles, Servos
+from vergence.hardware.servos import JointAngles, ServoReading, Servos
 from vergence.vision.image import (
     EXPOSURE_STEP_S,
     MANUAL_EXPOSURE,
@@ -356,14 +356,24 @@ def check_servos(
                 warning=True,
             )
         )
+    begun_s, period_s = servos.clock(), config.head.timing.period_s
+    reading = servos.read()
+    taken_s = servos.clock() - begun_s
+    if taken_s > period_s:
+        problem = (
+            f"within the control period of {1e3 * period_s:.3g} ms, got {1e3 * taken_s:.3g} ms"
+        )
+        cure = "a faster line, or a lower control_rate_hz in the head file"
+        problem = f"expected a reading of all servos {problem}"
+        findings.append(Finding(part="bus", problem=problem, cure=cure))
     if check_joint_in_limits:
-        findings += _posture(config, servos)
+        findings += _posture(config, servos, reading)
     return findings
 
 
-def _posture(config: HardwareConfig, servos: Servos) -> list[Finding]:
+def _posture(config: HardwareConfig, servos: Servos, reading: ServoReading) -> list[Finding]:
     """Joints out of their limits, and a forbidden posture."""
-    angles, reading = JointAngles(config.servos, config.head), servos.read()
+    angles = JointAngles(config.servos, config.head, reports_speed=servos.reports_speed)
     read = angles.update(reading)
     found = angles.angles.copy()
     findings = []
@@ -413,7 +423,7 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
         try:
             findings = check_servos(config, servos)
             there |= servos.describe()
-            angles = JointAngles(config.servos, config.head)
+            angles = JointAngles(config.servos, config.head, reports_speed=servos.reports_speed)
             for servo, known in zip(config.servos, angles.update(servos.read()), strict=True):
                 if known:
                     told = there[f"servos: {servo.name}"]

@@ -272,6 +272,11 @@ def _own_bus(table: Table, kind: str, path: str) -> BusConfig:
             f"bus.kind {kind}: expected a class that derives from vergence.hardware.servos.Servos "
             f"and has all of its methods, got {got}"
         )
+    unit_rad: Any = found.unit_rad
+    if not (isinstance(unit_rad, int | float) and unit_rad > 0.0):
+        raise ConfigurationError(
+            f"bus.kind {kind}: expected unit_rad above 0, got {unit_rad!r:.40}"
+        )
     options = {name: table.take(name, "") for name in table.names()}
     known = accepted_arguments(found)
     if known is not None:

@@ -153,16 +153,16 @@ def settle(
     watched: BoolArray,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
-) -> BoolArray:
+) -> tuple[BoolArray, BoolArray]:
     """Read that joints come to rest at a goal of zero; those that do not lose their torque.
 
     A joint whose speed grows loses it at once, others after `_SETTLE_S`. All arrays are (n,):
     `scales` are turns of joints per turn of servos, `watched` the servos that have torque; the
-    result is True for those that did not come to rest.
+    results are True for those that did not come to rest, and those of them without torque now.
     """
     begun_s = clock()
     rows: deque[tuple[float, FloatArray]] = deque(maxlen=64)
-    bad = np.zeros_like(watched)
+    bad, done = np.zeros_like(watched), np.zeros_like(watched)
     for _ in range(_MOST_READS):
         reading, now_s = servos.read(), clock()
         seen = watched & ~bad & np.isfinite(reading.ages_s)
@@ -175,11 +175,11 @@ def settle(
             new |= moves
         if new.any():
             bad |= new
-            release(servos, new)
+            done |= release(servos, new)
         elif not moves.any() and now_s - begun_s >= _REST_WINDOW_S:
             break
         sleep(_READ_INTERVAL_S)
-    return bad
+    return bad, done
 
 
 def release(servos: Servos, which: BoolArray) -> BoolArray:
@@ -190,6 +190,7 @@ def release(servos: Servos, which: BoolArray) -> BoolArray:
         with suppress(HardwareError):
             servos.release(one)
             done |= one
+            _LOG.warning("%s: torque off", servos.servos[place].name)
     return done
 
 
@@ -311,15 +312,17 @@ class DriveThread(threading.Thread):
                 self._count_misses(reading, accepted)
             self._misses[accepted] = 0
             if self._servos.fault:
-                self._released |= release(self._servos, self._must_let_go())
+                self._release(self._servos.must_let_go)
                 raise HardwareError(self._servos.fault)
             joints = self._history.add(reading.time_s, *self.angles.joint_angles_and_speeds())
         if self._log is not None:
             self._log.joints(*joints)
         return joints
 
-    def _must_let_go(self) -> BoolArray:
-        return np.asarray(self._servos.must_let_go & ~self._released)
+    def _release(self, which: BoolArray) -> None:
+        """Take the torque of servos, unless they are only read."""
+        if self._on:
+            self._released |= release(self._servos, which & ~self._released)
 
     def _count_misses(self, reading: ServoReading, accepted: BoolArray) -> None:
         """Raise an error for a servo that is silent."""
@@ -345,7 +348,7 @@ class DriveThread(threading.Thread):
     def _check_health(self) -> list[Finding]:
         """New warnings of running servos, once a second; an error is raised."""
         now = self._clock()
-        if now - self._health_s < _HEALTH_INTERVAL_S or not self._on:
+        if now - self._health_s < _HEALTH_INTERVAL_S:
             return []
         self._health_s = now
         findings = self._servos.check()
@@ -398,9 +401,7 @@ class DriveThread(threading.Thread):
         self.last_sent = sent  # repeated if the next command is late
         self._sent_s = self._clock()
         self._supervisor.on_sent(sent)
-        distrusted = self._supervisor.distrusted[self.angles.slots] & ~self._released
-        if distrusted.any():
-            self._released |= release(self._servos, distrusted)
+        self._release(self._supervisor.distrusted[self.angles.slots])
         self._rests = self._rests and not sent.any()
         return sent
 
@@ -409,12 +410,13 @@ class DriveThread(threading.Thread):
     def switch_on(self) -> list[Finding]:
         """Switch torque on at rest; return warnings of what had to be changed for it."""
         with self._exclusive():
-            findings = self._servos.switch_on(np.ones(len(self._config.servos), dtype=np.bool_))
-            self._on = True
+            self._on = True  # from the first servo on, whatever ends it
+            findings = self._servos.switch_on(~self._released)
             self._heard_s, self._pause_s = self._clock(), 0.0
             self._health_s = self._clock()
-            while (self.angles.ages_s(self._clock()) > SILENT_S).any():
-                self.sense()  # setting servos up took its time
+            for _ in range(_STOPPING_MISSES):  # setting servos up took its time
+                if (self.angles.ages_s(self._clock()) > SILENT_S).any():
+                    self.sense()
         return findings
 
     def wake(self) -> None:
@@ -489,15 +491,16 @@ class DriveThread(threading.Thread):
             _LOG.warning("expected to brake to rest within %g s", _REST_TIMEOUT_S)
 
     def _settle(self) -> BoolArray:
-        moving = settle(self._servos, self._scales, ~self._released, self._clock, self._sleep)
+        watched = ~self._released
+        moving, done = settle(self._servos, self._scales, watched, self._clock, self._sleep)
         self._heard()
-        self._released |= moving
+        self._released |= done
         return moving
 
     def let_go(self) -> str:
         """Release servos that must not hold; return the names of all joints without torque."""
         with suppress(HardwareError), self._exclusive():
-            self._released |= release(self._servos, self._must_let_go())
+            self._release(self._servos.must_let_go)
         return self._named(self._released)
 
     def _named(self, which: BoolArray) -> str:
@@ -538,12 +541,14 @@ class DriveThread(threading.Thread):
 
         In a forked child process the servos are left alone, as they belong to its parent.
         """
-        if os.getpid() == self._pid:
-            self._closed.set()
-            if self.is_alive() and threading.current_thread() is not self:
-                self.join(_JOIN_S)
+        if os.getpid() != self._pid:
+            self._servos.close()
+            return
+        self._closed.set()
+        if self.is_alive() and threading.current_thread() is not self:
+            self.join(_JOIN_S)
         with self._lock:
-            if os.getpid() == self._pid and self._on:
+            if self._on:
                 with suppress(HardwareError):
                     self._servos.stop()
                     self._settle()

@@ -81,7 +81,11 @@ class Jogger:
 
     def angle(self, name: str) -> float:
         """A joint's angle with the sign and the zero found so far, rad."""
-        angles = JointAngles(tuple(self.servos.values()), self._config.head)
+        angles = JointAngles(
+            tuple(self.servos.values()),
+            self._config.head,
+            reports_speed=self._bus.reports_speed,
+        )
         self.position(name)
         angles.update(self._bus.read())
         return float(angles.angles[self.servos[name].slot])
@@ -137,7 +141,7 @@ class Jogger:
         with suppress(HardwareError):
             self._bus.stop()
             scales = np.array([one.sign / one.gear_ratio for one in self.servos.values()])
-            moves = bool(settle(self._bus, scales, own, self._clock, self._sleep).any())
+            moves = bool(settle(self._bus, scales, own, self._clock, self._sleep)[0].any())
             self._bus.leave()
         return moves
 

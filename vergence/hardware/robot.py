@@ -79,6 +79,7 @@ class Robot:
         self._period_s = config.head.timing.period_s
         self._servos = config.make_servos(clock)
         self._drive: DriveThread | None = None
+        self._opened = False
         self._past_overruns = 0
         self.supervisor = self._new_supervisor()
 
@@ -120,6 +121,7 @@ class Robot:
         try:
             cameras = check_local_cameras(self.config)
             try:
+                self._opened = True
                 self._servos.open()
                 servos = check_servos(self.config, self._servos)
             except ChecksFailedError as error:
@@ -162,11 +164,12 @@ class Robot:
         """Stop the servos at once and release everything; a second call does nothing."""
         self._past_overruns = self.overruns
         drive, self._drive = self._drive, None
+        opened, self._opened = self._opened, False
         try:
-            if drive is None:
-                self._servos.close()
-            else:
+            if drive is not None:
                 drive.close()
+            elif opened:
+                self._servos.close()
         finally:
             self.eyes.close()
             gc.unfreeze()
@@ -250,6 +253,8 @@ class Robot:
         """
         self.drive.brake()
         try:
+            if self.supervisor.fault:  # a joint that did not come to rest
+                raise HardwareError(self.supervisor.fault)
             rested_s = self._clock()
             if self._moves:
                 for finding in self.drive.switch_on():

@@ -17,7 +17,7 @@ import numpy as np
 
 from vergence.entry_points import user_error_with_place
 from vergence.envs.reading import BoolArray
-from vergence.errors import Finding, HardwareError
+from vergence.errors import ConfigurationError, Finding, HardwareError
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, NECK, FloatArray
 
@@ -27,6 +27,8 @@ _MAX_SPEED_RATIO: Final = 2.0
 """Greatest accepted speed as a ratio to the head's greatest (chosen)."""
 _EXTRA_MOTION_RAD: Final = 0.1
 """Accepted motion beyond that of this speed, rad, for a servo that is pushed (chosen)."""
+_MAX_TIME_ERROR_S: Final = 1.0
+"""Greatest difference of a reading's time to the present, s: it is of another clock (chosen)."""
 _SPEED_FILTER_S: Final = 0.02
 """Time constant of the speeds of servos that report none, s (chosen: a period at 60 Hz)."""
 
@@ -138,7 +140,7 @@ class Servos(ABC):
 
     def describe(self) -> dict[str, str]:
         """What is known of the bus (`bus`) and of each servo (`servos: NAME`), in words."""
-        return {}
+        return {"bus": type(self).__name__}
 
     @abstractmethod
     def switch_on(self, which: BoolArray) -> list[Finding]:
@@ -177,38 +179,77 @@ class Servos(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Release the line; a second call does nothing."""
+        """Release the line; called once after each `open`, also one that has failed."""
 
 
 def guard(servos: Servos) -> Servos:
-    """Have a bus of somebody's own raise a `HardwareError` with its place for what goes wrong."""
-    count = len(servos.servos)
+    """Have a bus of somebody's own say what is wrong with it in one line, as a `HardwareError`.
 
-    def guarded(method: Callable[..., Any], *arguments: Any) -> Any:
+    Raises:
+        ConfigurationError: it is made wrongly.
+    """
+    count = len(servos.servos)
+    alone_s: Any = servos.stops_alone_after_s
+    if not (alone_s is None or (isinstance(alone_s, int | float) and alone_s > 0.0)):
+        raise ConfigurationError(
+            f"bus: expected seconds or None in stops_alone_after_s, got {alone_s!r:.60}"
+        )
+
+    def array(name: str, value: Any) -> FloatArray:
+        found = np.asarray(value, dtype=np.float64)
+        if found.shape != (count,):
+            raise HardwareError(
+                f"bus: expected arrays of {count} servos from {name}, got the shape {found.shape}"
+            )
+        return found
+
+    def judged(name: str, found: Any) -> Any:
+        expected = {"read": "a ServoReading", "send": "finite speeds"}.get(
+            name, "a list of Finding"
+        )
+        wrong = HardwareError(f"bus: expected {expected} from {name}, got {found!r:.60}")
+        if name == "read":
+            if not isinstance(found, tuple) or len(found) != len(ServoReading._fields):
+                raise wrong
+            now_s, time_s = servos.clock(), float(found[0])
+            if not abs(now_s - time_s) < _MAX_TIME_ERROR_S:
+                raise HardwareError(
+                    f"bus: expected a time of the clock that the bus is made with, {now_s:.3f} s, "
+                    f"from read, got {time_s:.3f} s"
+                )
+            if np.shape(servos.must_let_go) not in ((), (count,)):
+                raise HardwareError(f"bus: expected must_let_go of {count} servos")
+            reading = ServoReading(time_s, *(array(name, one) for one in found[1:]))
+            if (reading.ages_s < 0.0).any():
+                raise HardwareError(f"bus: expected ages of 0 s or more, got {reading.ages_s}")
+            return reading
+        if name == "send":
+            sent = array(name, found)
+            if not np.isfinite(sent).all():
+                raise wrong
+            return sent
+        if name in ("check", "switch_on"):
+            findings = [] if found is None else list(found)
+            if not all(isinstance(one, Finding) for one in findings):
+                raise wrong
+            return findings
+        if name == "describe":
+            return {str(part): str(text) for part, text in (found or {}).items()}
+        return found
+
+    def guarded(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            found = method(*arguments)
-            name = method.__name__
-            if name in ("read", "send"):
-                arrays = [
-                    np.asarray(one, float) for one in (found[1:] if name == "read" else [found])
-                ]
-                if any(one.shape != (count,) for one in arrays):
-                    raise ValueError(
-                        f"expected arrays of {count} servos from {name}, got the shapes "
-                        f"{', '.join(str(one.shape) for one in arrays)}"
-                    )
-                return ServoReading(float(found[0]), *arrays) if name == "read" else arrays[0]
+            return judged(name, method(*arguments))
         except HardwareError:
             raise
         except Exception as error:
-            raise HardwareError(f"bus: {user_error_with_place(error)}") from error
-        return found
+            raise HardwareError(f"bus: {name}: {user_error_with_place(error)}") from error
 
     for name in (
-        *("open", "check", "describe", "switch_on", "read", "send", "stop", "release", "leave"),
-        *("stopped_alone", "close"),
+        *("open", "check", "describe", "switch_on", "read", "send", "stop", "release"),
+        *("leave", "stopped_alone", "close"),
     ):
-        setattr(servos, name, partial(guarded, getattr(servos, name)))
+        setattr(servos, name, partial(guarded, name, getattr(servos, name)))
     return servos
 
 

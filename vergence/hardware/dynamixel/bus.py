@@ -63,12 +63,12 @@ class SerialLine:
         try:
             import fcntl
             import termios
-
-            import serial
         except ImportError:
             raise HardwareError(
                 f"{port}: expected Linux or macOS for servos on a serial line, got {sys.platform}"
             ) from None
+        import serial
+
         self.port, self.baud = port, baud
         try:
             self._serial = serial.Serial(port, baud, timeout=0, write_timeout=0, exclusive=True)

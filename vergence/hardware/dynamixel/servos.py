@@ -101,7 +101,9 @@ class DynamixelServos(Servos):
         count = len(self.servos)
         self.fault, self.must_let_go = "", np.zeros(count, dtype=np.bool_)
         self._torque = np.zeros(count, dtype=np.bool_)
-        self._watches: dict[int, HealthWatch] = {}  # of the servos that have been set up
+        self._watches: dict[int, HealthWatch] = {}
+        self._ready: list[int] = []  # ids of the servos that have been set up
+        self._checked = False
         self._limit_ticks = np.zeros(count)
         self._rounding_error = np.zeros(count)
         self._reads = self._sends = 0
@@ -133,9 +135,14 @@ class DynamixelServos(Servos):
         self._line.names = {servo.id: servo.name for servo in self.servos}
 
     def check(self) -> list[Finding]:
-        """All problems of servos and line; once they have torque, those of their health."""
-        if not self._torque.any():
-            return check_servos(self.servos, self.head, self._bus)
+        """All problems of servos and line; from the second time on, those of their health."""
+        if not self._checked and not self._torque.any():
+            self._checked = True
+            problems = check_servos(self.servos, self.head, self._bus)
+            for ident in self.ids:
+                with suppress(HardwareError):  # one that is missing
+                    self._watches[ident] = HealthWatch(read_limits(self._bus, ident))
+            return problems
         found = read_health(self._bus, {one: watch.limits for one, watch in self._watches.items()})
         findings = []
         for place, servo in enumerate(self.servos):
@@ -174,7 +181,7 @@ class DynamixelServos(Servos):
         chosen = [servo for servo, one in zip(self.servos, which, strict=True) if one]
         self.stop()
         for servo in chosen:
-            if servo.id not in self._watches:
+            if servo.id not in self._ready:
                 self._set_up(servo)
         self.fault = ""
         self.read()
@@ -227,7 +234,9 @@ class DynamixelServos(Servos):
             if (old := bus.read(ident, register)) != wanted:
                 self._change(servo, register, old, wanted)
         self._limit_ticks[self.ids.index(ident)] = bus.read(ident, table.VELOCITY_LIMIT)
-        self._watches[ident] = HealthWatch(read_limits(bus, ident))
+        if ident not in self._watches:
+            self._watches[ident] = HealthWatch(read_limits(bus, ident))
+        self._ready.append(ident)
 
     def _change(self, servo: ServoConfig, register: Register, old: int, value: int) -> None:
         locked = register.address < table.EEPROM_END
@@ -399,7 +408,7 @@ class DynamixelServos(Servos):
 
     def leave(self) -> None:
         """Switch the watchdog of each servo off that confirms rest; see `Servos.leave`."""
-        for ident in self._watches:
+        for ident in self._ready:
             with suppress(HardwareError):
                 try:
                     self._bus.write(ident, table.GOAL_VELOCITY, 0)
