@@ -116,7 +116,7 @@ MISTAKES = {
     "def check(self): return ['too hot']": "expected a list of Finding from check",
     "def switch_on(self, which): raise ValueError('no torque')": "in switch_on: ValueError: no to",
     "def open(self): raise OSError('no such device')": "in open: OSError: no such device",
-    "def must_let_go(self): return 7": "expected must_let_go of 4 servos",
+    "def must_let_go(self): return [True] * 7": "expected must_let_go of 4 servos",
     "stops_alone_after_s = '0.2'": "expected seconds or None in stops_alone_after_s, got '0.2'",
     "unit_rad = 0": "expected unit_rad above 0, got 0",
     "def __init__(self, servos, head, clock): pass": "cannot be made: .*has no attribute 'servos'",
