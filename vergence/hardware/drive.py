@@ -44,6 +44,8 @@ _LONG_PAUSE_PERIODS: Final = 4.0
 _PAUSE_FRACTION: Final = 0.5
 """Pause without packets after which the servos are asked whether they have stopped, as a fraction
 of the time after which they do (chosen: any packet counts for them)."""
+_LEAD_S: Final = 2e-3
+"""Time before a tick at which images are taken, s (chosen: merging a pair takes half of it)."""
 _JOIN_S: Final = 1.0
 """Longest wait for the thread to end, s (chosen)."""
 _HEALTH_INTERVAL_S: Final = 1.0
@@ -239,13 +241,17 @@ class DriveThread(threading.Thread):
     # ---- the control period ----
 
     def period(
-        self, requested: FloatArray, trial: RunningTrial | None = None
+        self,
+        requested: FloatArray,
+        trial: RunningTrial | None = None,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> tuple[Joints, list[Finding]]:
         """Send requested velocities as far as safe, wait for the end of the period, and read.
 
         Args:
             requested: (7,) requested velocities, rad/s.
             trial: state of the running trial, whose schedule is kept; None outside a trial.
+            meanwhile: called shortly before the trial's next tick, for what would delay a command.
 
         Returns:
             The joints, and new warnings of running servos.
@@ -262,7 +268,7 @@ class DriveThread(threading.Thread):
         if trial is None:
             self._sleep(self._period_s)
         else:
-            self._wait_for_tick()
+            self._wait_for_tick(meanwhile)
         with self._exclusive():
             return self.sense(), self._check_health()
 
@@ -277,13 +283,15 @@ class DriveThread(threading.Thread):
         self._reported_overruns = self.overruns
         return missed
 
-    def _wait_for_tick(self) -> None:
+    def _wait_for_tick(self, meanwhile: Callable[[], None]) -> None:
         """Wait for the schedule's next tick; ticks that are a period late are skipped."""
         self.tick += 1
         due_s = self.begun_s + self.tick * self._period_s
-        left_s = due_s - self._clock()
-        if left_s > 0.0:
-            self._sleep(left_s)
+        for until_s, then in ((due_s - _LEAD_S, meanwhile), (due_s, lambda: None)):
+            left_s = until_s - self._clock()
+            if left_s > 0.0:
+                self._sleep(left_s)
+            then()
         missed = int((self._clock() - due_s) // self._period_s)
         if missed > 0:
             self.tick += missed

@@ -217,9 +217,9 @@ class HardwarePlant(Plant):
             self._begun = True
         try:
             visible = bool(self.reading.visible[0].any())
-            pair = robot.step(command[0], visible, self._values.goals)
+            robot.step(command[0], visible, self._values.goals, self._values.see)
             self.reading.command[0] = robot.drive.sent
-            self._values.update(robot.drive.tick * self.head.timing.period_s, pair)
+            self._values.update(robot.drive.tick * self.head.timing.period_s)
             if self._log is not None:
                 _keep(self, self._log)
         except HardwareError as error:
@@ -266,7 +266,7 @@ class _Values:
     def __init__(self, head: HeadModel, history: JointHistory, appears: bool) -> None:
         self.reading, self.goals = Reading.empty(1), np.full(4, np.nan)
         self._head, self._history, self._appears = head, history, appears
-        self._begun_s = 0.0
+        self._begun_s, self._new = 0.0, False
 
     @property
     def begun_s(self) -> float:
@@ -283,23 +283,29 @@ class _Values:
         """Begin a trial with images of the head at rest."""
         for own, empty in zip(self.reading, Reading.empty(1), strict=True):
             own[:] = empty
-        self._begun_s = begun_s
-        self.update(0.0, pair)
+        self._begun_s, self._new = begun_s, False
+        if pair is not None:
+            self.see(pair)
+        self.update(0.0)
         self.reading.frame[0] = 0
 
-    def update(self, time_s: float, pair: SearchedPair | None) -> None:
-        """Take the newest joint angles, and new images."""
-        reading, begun_s = self.reading, self._begun_s
+    def update(self, time_s: float) -> None:
+        """Take the newest joint angles, and count the images that `see` has taken."""
+        reading = self.reading
         measured_s, q, v = self._history.newest()
         reading.time_s[0] = time_s
-        reading.joints_s[0] = measured_s - begun_s
+        reading.joints_s[0] = measured_s - self._begun_s
         reading.positions[0], reading.velocities[0] = q, v
-        if pair is None:
-            return
+        reading.frame[0] += self._new
+        self._new = False
+
+    def see(self, pair: SearchedPair) -> None:
+        """Take new images."""
+        reading, begun_s = self.reading, self._begun_s
         exposed_s, pixels = merge_pair(self._head, pair, self._history)
         if self._appears and exposed_s < begun_s:
             return
-        reading.frame[0] += 1
+        self._new = True
         reading.exposure_s[0] = exposed_s - begun_s
         reading.received_s[0] = pair.ready_s - begun_s
         reading.positions_at_exposure[0] = self._history.at(exposed_s)

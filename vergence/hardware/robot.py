@@ -352,19 +352,31 @@ class Robot:
         self.scene.begin(now_s)
         return now_s
 
-    def step(self, requested: FloatArray, visible: bool, goals: FloatArray) -> SearchedPair | None:
-        """Hold a policy's command for a period, as far as it is safe; return its newest images."""
+    def step(
+        self,
+        requested: FloatArray,
+        visible: bool,
+        goals: FloatArray,
+        see: Callable[[SearchedPair], None],
+    ) -> None:
+        """Hold a policy's command for a period, as far as it is safe; `see` gets new images."""
+
+        def take_images() -> None:
+            pair = self.eyes.newest()
+            if pair is not None:
+                see(pair)
+
         trial = RunningTrial(
             images_received_s=self.eyes.newest_s,
             target_visible=visible,
             target_eye_angles=goals,
             missed_periods=self.drive.take_missed(),
         )
-        _, findings = self.drive.period(requested, trial)
+        _, findings = self.drive.period(requested, trial, take_images)
         for finding in findings:
             warn(str(finding))
         self.eyes.check()
-        return self.eyes.newest()
+        take_images()
 
 
 def warn(text: str) -> None:
