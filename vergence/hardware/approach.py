@@ -20,9 +20,9 @@ _MAX_SPEED_RAD_S: Final = 1.5
 """Greatest requested speed of the approach, rad/s (chosen)."""
 _TOLERANCE_RAD: Final = 0.01
 """Tolerance of the posture, rad (chosen)."""
-_REST_RAD_S: Final = 0.03
+REST_RAD_S: Final = 0.03
 """Joints slower than this are at rest, rad/s: above a servo's unit of 0.024 rad/s (chosen)."""
-_REST_PERIODS: Final = 6
+REST_PERIODS: Final = 6
 """Consecutive control periods at rest at the goal that end the approach: three time constants of
 the servos (chosen)."""
 _TIMEOUT_S: Final = 10.0
@@ -100,10 +100,10 @@ def drive_to(
     goal = np.clip(goal, angles.lower, angles.upper)
     now_s = moved_s = begun_s = move(np.zeros(7))
     rested = 0
-    while rested < _REST_PERIODS:
+    while rested < REST_PERIODS:
         error = np.where(angles.has_servo, goal - angles.angles, 0.0)
         arrived = np.abs(error).max() < tolerance_rad
-        resting = np.abs(angles.speeds).max() < _REST_RAD_S
+        resting = np.abs(angles.speeds).max() < REST_RAD_S
         rested = rested + 1 if arrived and resting else 0
         moved_s = moved_s if resting else now_s
         requested = np.clip(_GAIN * error, -speed_rad_s, speed_rad_s)

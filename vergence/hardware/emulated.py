@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +14,10 @@ from vergence.hardware.config import HardwareConfig
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.plant import HardwarePlant
 from vergence.hardware.robot import Scene
+from vergence.hardware.view_check import point_ahead
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.targets import AprilTag
-
-_AHEAD_M: Final = 1.0
-"""Distance at which the target stands while the view is checked, m (chosen)."""
 
 
 class EmulatedScene(Scene):
@@ -41,9 +39,7 @@ class EmulatedScene(Scene):
         if self._shown is None:
             yield
             return
-        T_N_C = self._head.camera_poses(positions)
-        axis = T_N_C[:, :3, 2].mean(axis=0)
-        point = T_N_C[:, :3, 3].mean(axis=0) + _AHEAD_M * axis / np.linalg.norm(axis)
+        point = point_ahead(self._head, positions)
         self._world.place_target(motion_rows(point[np.newaxis], before=point[np.newaxis])[0])
         yield
         self._world.place_target(self._shown)

@@ -14,7 +14,13 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ChecksFailedError, HardwareError, VergenceWarning
-from vergence.hardware.approach import GoalNotReachedError, drive_to, drive_to_start
+from vergence.hardware.approach import (
+    REST_PERIODS,
+    REST_RAD_S,
+    GoalNotReachedError,
+    drive_to,
+    drive_to_start,
+)
 from vergence.hardware.cameras import HeadEyes, compile_loop_kernels
 from vergence.hardware.checks import check_local_cameras, check_servos, raise_errors
 from vergence.hardware.config import HardwareConfig, load_hardware
@@ -392,10 +398,6 @@ _TOLERANCE_RAD: Final = 0.003
 """Tolerance of the approach, rad: a servo's least speed ends 2 mrad early (chosen)."""
 _APPROACH_TIMEOUT_S: Final = 0.5
 """Longest time for the approach, s: being near is enough (chosen)."""
-_REST_RAD_S: Final = 0.03
-"""Joints slower than this are at rest, rad/s: above a servo's unit of 0.024 rad/s (chosen)."""
-_REST_PERIODS: Final = 6
-"""Control periods at rest before images count: three time constants of the servos (chosen)."""
 _MAX_WAIT_FRAMES: Final = 6
 """Frames to wait for an eye that does not find the board: a search may take several (chosen)."""
 _TIMEOUT_S: Final = 3.0
@@ -465,9 +467,9 @@ class RobotLooker:
                 tolerance_rad=_TOLERANCE_RAD,
             )
         rested, until_s, still = 0, robot.move(np.zeros(7)) + _TIMEOUT_S, np.zeros(7)
-        while rested < _REST_PERIODS:
+        while rested < REST_PERIODS:
             rested_s = robot.move(still)
-            slow = np.abs(robot.history.newest().velocities).max() < _REST_RAD_S
+            slow = np.abs(robot.history.newest().velocities).max() < REST_RAD_S
             rested = rested + 1 if slow else 0
             if rested_s > until_s:
                 return None
